@@ -23,7 +23,8 @@ help:
 	@echo "make docs        the documentation site, into docs/_build/html; warnings are errors"
 	@echo "make bench       speed as ratios, into benchmarks/results/"
 	@echo "make evidence    measured figures of the documents, from the data in a folder: DATA=FOLDER"
-	@echo "make engines     exports as Cycles, MaterialX and three.js draw them, into benchmarks/results/engines.json"
+	@echo "make engines     exports as Cycles, MaterialX, three.js and Adobe's OpenPBR draw them, into benchmarks/results/engines.json:"
+	@echo "                 OPENPBR_BSDF=FOLDER names a checkout of github.com/adobe/openpbr-bsdf"
 	@echo "make golden      which numbers of commands and calls moved since they were kept: KEEP=1 keeps them, ONLY=words"
 
 # What the compiled loops are built from: a change installs the package again, which builds them.
@@ -84,8 +85,11 @@ golden: .venv/readydev
 .venv-engines/ready: tools/setup.sh
 	tools/setup.sh engines
 
+# A checkout of github.com/adobe/openpbr-bsdf, whose headers are compiled; it is not part of this repository.
+OPENPBR_BSDF ?=
+
 engines: .venv/readydev .venv-engines/ready
-	$(BIN)/python tools/engines
+	OPENPBR_BSDF="$(OPENPBR_BSDF)" $(BIN)/python tools/engines
 
 docs: .venv/readydocs
 	$(BIN)/python -m sphinx -b html -W --keep-going -q docs docs/_build/html

@@ -45,7 +45,7 @@ class BuildLoops(build_ext):
 setup(
     ext_modules=[
         Extension(
-            "manifold._compiled",
+            "manifold.core._compiled",
             sorted(str(path) for path in Path("cpp").glob("*.cpp")),
             include_dirs=[nanobind.include_dir(), str(BINDING / "ext" / "robin_map" / "include")],
             depends=sorted(str(path) for path in Path("cpp").glob("*.hpp")),

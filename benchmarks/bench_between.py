@@ -30,13 +30,13 @@ from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour import metal_ior
 from manifold.colour.reflectances import diffuse_reflectance
+from manifold.core.records import Array, Bands
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.comparison import brdf_errors
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
-from manifold.records import Array, Bands
 
 STEPS = (0.5, 0.4, 0.6)
 

@@ -35,15 +35,15 @@ import numpy as np
 import psutil
 from bench_scale import write_materials
 
-from manifold import cluster as dask
-from manifold import many
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
 from manifold.analytic.virtual_instruments import MA_T12_BANDS, write_ma_t12
-from manifold.batch import batch
+from manifold.core import cluster as dask
 from manifold.estimate.inputs import find_inputs, find_samples
 from manifold.estimate.sources import FileSource
 from manifold.fit import fits
+from manifold.many import commands as many
+from manifold.many.batch import batch
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
 

@@ -37,7 +37,7 @@ COMMANDS = {
     "walk": "walk cardboard paper_blue -o walk.png",
     "slices": "slices cardboard -o slices.png",
     "map": "map -o map.png",
-    "explore": "explore --html map.html",
+    "explore": "explore -o map.html",
     "fit": "fit rgl/cardboard_rgb.bsdf -o fit.json",
     "export": "export rgl/cardboard_rgb.bsdf -o cardboard.glb",
     "find": "find cardboard",

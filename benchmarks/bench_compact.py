@@ -21,11 +21,11 @@ import numpy as np
 from numcodecs.blosc import Blosc
 from scipy.fft import dctn, idctn
 
-from manifold.errors import LibraryError
+from manifold.core.errors import LibraryError
+from manifold.core.records import BsdfFile
 from manifold.io_rgl import read_bsdf
 from manifold.library.compacting import CUBE_ROOT_PER_BALL, _errors_from, encode
 from manifold.library.importing import find_files
-from manifold.records import BsdfFile
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt

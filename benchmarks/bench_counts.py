@@ -18,11 +18,11 @@ import numpy as np
 from completion_baselines import gaussian_process_of_one
 
 from manifold.colour import panel
+from manifold.core.pairs import Pairs
+from manifold.core.records import Indices
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.evaluate.readings import METHODS, Predicted, ReadingMethod, Task, measure_curves
 from manifold.library.store import Library
-from manifold.pairs import Pairs
-from manifold.records import Indices
 
 COUNTS = (8, 12, 16, 32)
 KINDS = ("ball", "cube_root")

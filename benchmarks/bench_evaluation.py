@@ -23,11 +23,11 @@ import numpy as np
 
 from manifold.analytic import corpus
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.directions import from_spherical
+from manifold.core.directions import from_spherical
+from manifold.core.pairs import RusinkiewiczGrid
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.model.combination import Combination
 from manifold.model.prediction import PredictedBRDF
-from manifold.pairs import RusinkiewiczGrid
 from manifold.registries import MAPPINGS
 from manifold.render import backend
 

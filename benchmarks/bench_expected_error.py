@@ -23,13 +23,13 @@ from scipy.stats import spearmanr
 from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour import panel
+from manifold.core.metrics import cube_root_error
+from manifold.core.records import Array
 from manifold.gp.encoding import encoding_pairs
 from manifold.library.store import Library
-from manifold.metrics import cube_root_error
 from manifold.model.manifold import Manifold
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import KINDS, Settings
-from manifold.records import Array
 
 PLACES = 2000  # inside the convex hull, of which some are not supported
 

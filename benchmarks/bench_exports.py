@@ -1,5 +1,7 @@
 """What every target of exports loses: the table of docs/explanation/fits.md, CIEDE2000 on the ball.
 
+OpenPBR has a column for each program that evaluates it, beside the worst of them.
+
     python benchmarks/bench_exports.py --files FOLDER [--targets gltf,openpbr] [--work FOLDER] [--json FILE]
     python benchmarks/bench_exports.py --files FOLDER --in-lights EXPORTED ... [--targets gltf,openpbr] [--json FILE]
 
@@ -21,12 +23,12 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.batch import batch
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour import panel
 from manifold.fit.exporting import export_sources, exports
 from manifold.fit.exports.targets import TargetBRDF
 from manifold.io_rgl import material_name, read_bsdf
+from manifold.many.batch import batch
 from manifold.registries import TARGETS
 
 TABLE = ("gltf", "openpbr", "standard-surface", "usd", "blender", "unreal", "unity")
@@ -39,6 +41,7 @@ def losses(files: Path, target: str, work: Path) -> dict[str, dict[str, float]]:
     made = {outcome.name: outcome.content or {} for outcome in made.outcomes}
     return {
         name: {"own": e["errors"]["ball"], "principled": e["principled_errors"]["ball"]}
+        | {program: errors["ball"] for program, errors in e.get("implementations", {}).items()}
         for name, e in made.items()
     }
 
@@ -48,7 +51,9 @@ def in_lights(files: Path, target: str, exported: Path) -> dict[str, dict[str, f
     made, lights = {}, panel.judged()
     for line in (exported / target / "exports.jsonl").read_text(encoding="utf-8").splitlines():
         export = json.loads(line)["result"]
-        model = TargetBRDF(TARGETS[target], TARGETS[target].defaults | export["parameters"])
+        programs = export.get("implementations", {})
+        worst = max(programs, key=lambda program: programs[program]["ball"], default=None)
+        model = TargetBRDF(TARGETS[target], TARGETS[target].defaults | export["parameters"], worst)
         path = next(p for p in files.rglob("*.bsdf") if material_name(p) == export["material"])
         material = MeasuredBRDF(read_bsdf(path))
         own, truth = (np.maximum(brdf.eval(lights.wi, lights.wo), 0.0) for brdf in (model, material))
@@ -91,20 +96,23 @@ def main() -> None:
         work = options.work or Path(scratch)
         found = {target: losses(options.files, target, work) for target in targets}
     principled = {name: loss["principled"] for name, loss in found[targets[0]].items()}
-    print("| file | `principled` |", " | ".join(targets), "|")
-    print("|---" * (2 + len(targets)) + "|")
+    columns = {target: (target, "own") for target in targets}
+    columns |= {f"{t} in {i}": (t, i) for t in targets for i in TARGETS[t].implementations}
+    print("| file | `principled` |", " | ".join(columns), "|")
+    print("|---" * (2 + len(columns)) + "|")
     for name, loss in principled.items():
-        cells = [f"{found[target][name]['own']:.2f}" for target in targets]
+        cells = [f"{found[target][name][program]:.2f}" for target, program in columns.values()]
         print(f"| {name} | {loss:.2f} |", " | ".join(cells), "|")
     for word, summary in SUMMARIES.items():
-        cells = [f"{summary([loss['own'] for loss in found[target].values()]):.2f}" for target in targets]
+        cells = [f"{summary([loss[i] for loss in found[t].values()]):.2f}" for t, i in columns.values()]
         print(
             f"| **{word}** | {summary(principled.values()):.2f} |", " | ".join(f"**{c}**" for c in cells), "|"
         )
     if options.json:
         rows = {"principled": list(principled.values())}
-        for target, made in found.items():
-            rows[f"{target}_fitted"] = [loss["own"] for loss in made.values()]
+        for title, (target, program) in columns.items():
+            key = title.replace(" in ", "_fitted_") if program != "own" else f"{target}_fitted"
+            rows[key] = [loss[program] for loss in found[target].values()]
         figures = {name: [summary(row) for summary in SUMMARIES.values()] for name, row in rows.items()}
         options.json.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
 

@@ -24,21 +24,21 @@ from bench_published import GRID
 from manifold.brdf.interface import all_isotropic
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import fill_unmeasured
+from manifold.core.mapping import CubeRoot, Identity, ValueMapping
+from manifold.core.metrics import cube_root_error
+from manifold.core.records import Array, Indices
 from manifold.evaluate.baselines import fit_linear, fit_nearest, fit_pca
 from manifold.evaluate.cross_validation import Encode
 from manifold.evaluate.method_data import Data, band_shares
 from manifold.gplvm import GPLVM
 from manifold.gpr import GaussianProcess
 from manifold.io_rgl import read_bsdf
-from manifold.mapping import CubeRoot, Identity, ValueMapping
-from manifold.metrics import cube_root_error
 from manifold.model.blend_fitting import BlendTables
 from manifold.model.blend_space import PlaceSearch
 from manifold.model.combination import Combination, evaluate
 from manifold.model.decoding import appearance_pairs, appearance_weight, roots_at
 from manifold.model.materials import MaterialTable
 from manifold.model.settings import Settings
-from manifold.records import Array, Indices
 
 _STARTS, _EVALUATIONS = 3, 120
 KINDS = ("ball", "cube_root", "eq_22")

@@ -24,7 +24,8 @@ from neural_fits import read_neural_fits
 from manifold.analytic import corpus
 from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.directions import from_spherical
+from manifold.core.directions import from_spherical
+from manifold.core.pairs import RusinkiewiczGrid
 from manifold.fit import fit_samples, fits
 from manifold.fit.fit_metrics import Criterion
 from manifold.fit.fit_samples import FitSamples
@@ -32,7 +33,6 @@ from manifold.fit.identifiability import DETERMINED
 from manifold.fit.principled import FitResult, fit_bsdf
 from manifold.io_rgl import read_bsdf
 from manifold.model.comparison import brdf_errors
-from manifold.pairs import RusinkiewiczGrid
 from manifold.render import backend, fit_json
 from manifold.render.bsdf_evaluation import evaluator
 from manifold.render.bsdf_parameters import Layout, principled

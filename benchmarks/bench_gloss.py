@@ -20,16 +20,16 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour import panel
 from manifold.colour.conversion import to_srgb
 from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
-from manifold.directions import from_spherical
-from manifold.errors import UsageError
+from manifold.core.directions import from_spherical
+from manifold.core.errors import UsageError
+from manifold.core.metrics import cube_root_error, relative_error
+from manifold.core.records import Array, Bands
 from manifold.estimate import Completion, LibraryAtoms
 from manifold.estimate.gloss import gloss_units
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.principled import fit_bsdf
 from manifold.formats.readings import Readings
 from manifold.library.store import Library
-from manifold.metrics import cube_root_error, relative_error
-from manifold.records import Array, Bands
 
 MATT = 10.0  # gloss units at 60 degrees
 NOISE = 0.02

@@ -26,12 +26,12 @@ from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import plausibility
 from manifold.colour import ball_colours
-from manifold.directions import from_spherical
+from manifold.core.directions import from_spherical
+from manifold.core.metrics import cube_root_error
+from manifold.core.records import Array, Bands, BsdfFile
 from manifold.io_rgl import write_bsdf
-from manifold.metrics import cube_root_error
 from manifold.model.manifold import Manifold
 from manifold.model.prediction import ClippedBRDF
-from manifold.records import Array, Bands, BsdfFile
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 

@@ -40,13 +40,13 @@ from scipy.optimize import minimize
 from threadpoolctl import threadpool_limits
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.core.pairs import RusinkiewiczGrid
 from manifold.gp.kernels import SquaredExponential
 from manifold.gp.likelihood import LatentObjective, centre_gram, pca_start
 from manifold.gplvm import GPLVM
 from manifold.gpr import IsolatedLatentsWarning
 from manifold.io_rgl import read_bsdf
 from manifold.model.fitting import gram_matrix
-from manifold.pairs import RusinkiewiczGrid
 from manifold.registries import MAPPINGS, OPTIMIZERS
 
 STARTS = 20

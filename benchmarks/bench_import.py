@@ -22,9 +22,9 @@ from pathlib import Path
 
 import numpy as np
 
+from manifold.core.records import BsdfFile
 from manifold.io_rgl import write_bsdf
 from manifold.library.store import Library
-from manifold.records import BsdfFile
 
 FILES = 51
 TARGET = 4.0

@@ -31,12 +31,12 @@ import numpy as np
 
 from manifold.analytic import corpus
 from manifold.colour.conversion import luminance
-from manifold.errors import FileFormatError
+from manifold.convert.contents import inspect
+from manifold.core.errors import FileFormatError
+from manifold.core.records import BsdfFile
+from manifold.core.text_tables import table_lines
 from manifold.formats.tensor_file import read_tensors, write_tensors
-from manifold.info import inspect
 from manifold.io_rgl import read_bsdf, write_bsdf
-from manifold.records import BsdfFile
-from manifold.text_tables import table_lines
 
 CORPUS = (
     "syn_card_brown", "syn_chrome_mint", "syn_felt_white", "syn_gloss_black",

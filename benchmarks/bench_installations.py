@@ -22,10 +22,10 @@ import numpy as np
 from scipy.linalg import orthogonal_procrustes
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.core.records import Array
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold
 from manifold.model.settings import KINDS, Settings
-from manifold.records import Array
 
 NOISE = 1e-12
 CORE_TYPES = ("Nehalem", "Haswell", "SkylakeX")

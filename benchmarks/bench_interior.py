@@ -27,7 +27,8 @@ from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import plausibility
 from manifold.colour import ball_colours
-from manifold.directions import from_spherical
+from manifold.core.directions import from_spherical
+from manifold.core.records import Array
 from manifold.estimate.predictions import predict
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
@@ -36,7 +37,6 @@ from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
 from manifold.model.prediction import ClippedBRDF
 from manifold.model.settings import KINDS, Settings
-from manifold.records import Array
 
 ALBEDO_INCIDENCES_DEG = np.array([0.0, 30.0, 45.0, 60.0, 75.0])
 FILE_INCIDENCES_DEG = np.arange(0.0, 86.0, 5.0)

@@ -36,7 +36,8 @@ from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.wrapper import WrappedBRDF
 from manifold.colour.conversion import encode_srgb
-from manifold.errors import ManifoldError
+from manifold.core.errors import ManifoldError
+from manifold.core.records import Array
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.channels import Channels
 from manifold.estimate.completion import Completion
@@ -52,7 +53,6 @@ from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.model.comparison import brdf_errors
 from manifold.model.prediction import ClippedBRDF
-from manifold.records import Array
 from manifold.render import backend, bsdf_parameters
 from manifold.render.fitted_brdf import FittedBRDF
 from manifold.render.images import ciede2000_map

@@ -22,17 +22,17 @@ from bench_published import GRID, measured
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import fill_unmeasured
+from manifold.core.mapping import Identity
+from manifold.core.pairs import RusinkiewiczGrid
+from manifold.core.records import Array
 from manifold.evaluate.method_data import Data
 from manifold.gp.encoding import Encoder
 from manifold.gp.kernels import squared_distances
 from manifold.gplvm import GPLVM
 from manifold.io_rgl import read_bsdf
-from manifold.mapping import Identity
 from manifold.model.combination import Combination
 from manifold.model.fitting import Gram, gram_matrix
 from manifold.model.materials import MaterialTable
-from manifold.pairs import RusinkiewiczGrid
-from manifold.records import Array
 
 WHOLE = RusinkiewiczGrid.named("hikichi")
 

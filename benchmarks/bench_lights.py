@@ -22,13 +22,13 @@ from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour import panel
+from manifold.core.metrics import Errors
+from manifold.core.records import BsdfFile
 from manifold.fit.principled import fit_bsdf
 from manifold.io_rgl import read_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
-from manifold.metrics import Errors
 from manifold.model.location import reconstruct_file
-from manifold.records import BsdfFile
 from manifold.render.fitted_brdf import FittedBRDF
 
 

@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from manifold.colour.difference import colour_differences
+from manifold.core.records import Array
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.completion import Completion
 from manifold.formats.readings import Readings
 from manifold.formats.registry import read_readings
 from manifold.library.store import Library
-from manifold.records import Array
 
 
 def met(atoms: LibraryAtoms, readings: Readings) -> Array:

@@ -21,16 +21,16 @@ import numpy as np
 from neural_fits import NeuralBRDF, read_neural_fits, seen_neural
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.core.metrics import Errors
+from manifold.core.pairs import Pairs, RusinkiewiczGrid
+from manifold.core.records import Array
 from manifold.evaluate.baselines import fit_nonnegative
 from manifold.evaluate.cross_validation import Method, cross_validate, leave_out
 from manifold.evaluate.method_data import Data
 from manifold.evaluate.methods import standard_methods
 from manifold.evaluate.seen_fits import seen_principled
 from manifold.io_rgl import read_bsdf
-from manifold.metrics import Errors
 from manifold.model.materials import MaterialTable
-from manifold.pairs import Pairs, RusinkiewiczGrid
-from manifold.records import Array
 
 DEFAULT = ("nearest", "gplvm_6", "nonnegative", "few_atoms")
 """Keys of the registry of methods."""

@@ -31,12 +31,12 @@ from manifold.colour import ball_colours
 from manifold.colour.conversion import decode_srgb, sensor_responses, srgb_to_xyz, xyz_to_srgb
 from manifold.colour.illuminants import Illuminant
 from manifold.colour.lights import environment
-from manifold.directions import from_spherical
+from manifold.core.directions import from_spherical
+from manifold.core.records import Array
 from manifold.estimate import predictions
 from manifold.estimate.gloss import gloss_units
 from manifold.model.manifold import Manifold
 from manifold.page import explore
-from manifold.records import Array
 from manifold.render import backend, images
 from manifold.render.render import RenderSettings, colorimetric_film, render_scene, rgb_film
 

@@ -25,8 +25,8 @@ from helpers.browser import chromium, follow, visit
 
 from manifold.colour.conversion import decode_srgb, srgb_to_xyz
 from manifold.colour.difference import delta_e_2000
+from manifold.core.records import Array
 from manifold.page import explore
-from manifold.records import Array
 from manifold.surface import preview
 from manifold.surface.written import WrittenSurface, read_surface
 

@@ -29,6 +29,8 @@ from manifold.brdf.plausibility import plausibility_of_file
 from manifold.colour.conversion import decode_srgb, encode_srgb
 from manifold.colour.lights import ENVIRONMENTS, environment
 from manifold.colour.reflectances import srgb_spectra
+from manifold.core.metrics import Errors
+from manifold.core.records import Array
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.channels import srgb_responses, wiener_matrix
 from manifold.estimate.completion import Completion
@@ -40,12 +42,10 @@ from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
-from manifold.metrics import Errors
 from manifold.model.comparison import brdf_errors
 from manifold.model.output_file import output_file
 from manifold.model.prediction import ClippedBRDF
 from manifold.model.reconstruction import ComparedValues
-from manifold.records import Array
 from manifold.render.render import render_floating_ball
 
 SIZE, MARGIN, CAMERA = 256, 0.05, Camera(0.0, 15.0, 8.0)

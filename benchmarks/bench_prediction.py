@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 
 from manifold.analytic import corpus
+from manifold.core.pairs import RusinkiewiczGrid
 from manifold.estimate import predictions
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold, Settings
-from manifold.pairs import RusinkiewiczGrid
 
 GRID_BLOCK = 65536  # direction pairs of the grid of Hikichi & Iwasaki evaluated at once
 

@@ -19,6 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.core.mapping import Identity
+from manifold.core.pairs import RusinkiewiczGrid
+from manifold.core.records import Array, Indices
 from manifold.evaluate.cross_validation import Encode
 from manifold.evaluate.errors import PredictionErrors
 from manifold.evaluate.latent_models import LatentProcess, fit_settings
@@ -28,11 +31,8 @@ from manifold.gp.encoding import Encoder
 from manifold.gp.likelihood import pca_start
 from manifold.gplvm import GPLVM
 from manifold.io_rgl import read_bsdf
-from manifold.mapping import Identity
 from manifold.model.combination import Combination
 from manifold.model.materials import MaterialTable
-from manifold.pairs import RusinkiewiczGrid
-from manifold.records import Array, Indices
 
 STARTS = 5
 GRID = RusinkiewiczGrid.named("default")

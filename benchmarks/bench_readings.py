@@ -16,6 +16,7 @@ import numpy as np
 from manifold.colour.conversion import to_xyz
 from manifold.colour.correction import learn_correction
 from manifold.colour.difference import delta_e_2000
+from manifold.core.records import Array, Bands
 from manifold.estimate import Completion, LibraryAtoms, calibrate, suggest
 from manifold.estimate.evidence import Evidence
 from manifold.estimate.expected import errors_of
@@ -23,7 +24,6 @@ from manifold.estimate.suggestions import all_directions
 from manifold.formats.readings import Readings, aspecular_pair, geometry_ma_t12
 from manifold.library.store import Library
 from manifold.model.expected_error import Reliability
-from manifold.records import Array, Bands
 
 CASES = 5  # random choices per material
 CHOSEN = 5

@@ -34,6 +34,7 @@ from manifold.analytic.microfacet import Plastic, RoughConductor
 from manifold.brdf import goniometer
 from manifold.brdf.interface import BRDF
 from manifold.brdf.plausibility import plausibility
+from manifold.core.records import Bands
 from manifold.estimate.predictions import predict
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
@@ -41,7 +42,6 @@ from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
 from manifold.page.explore import write_page
 from manifold.pictures.maps import latent_map
-from manifold.records import Bands
 
 SIZES = (50, 150, 500, 1500, 5000)
 RGB = Bands(None)
@@ -173,7 +173,7 @@ def exponent(sizes: list[int], runs: list[Run]) -> float:
 
 def draw(sizes: list[int], rows: dict[str, list[Run]], path: Path) -> None:
     """Processor time and memory over the number of materials."""
-    from manifold.plots.figures import new_figure, save
+    from manifold.pictures.figures import new_figure, save
 
     figure = new_figure(10, 4.2)
     for axes, key, label in zip(

@@ -17,13 +17,13 @@ from pathlib import Path
 import numpy as np
 from bench_readings import read
 
+from manifold.core.records import Array
 from manifold.estimate import Completion, LibraryAtoms
 from manifold.estimate.expected import errors_of
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.suggestions import DIRECTIONS, all_directions
 from manifold.formats.readings import aspecular_pair, geometry_ma_t12
 from manifold.library.store import Library
-from manifold.records import Array
 
 GLOSS_DEG = 60.0
 NOISE = 0.0025

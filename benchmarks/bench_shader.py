@@ -37,11 +37,11 @@ from manifold.brdf.measured import MeasuredBRDF, values_at
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour import panel
 from manifold.colour.conversion import file_to_srgb, luminance
-from manifold.directions import from_rusinkiewicz, from_spherical, to_rusinkiewicz
+from manifold.core.directions import from_rusinkiewicz, from_spherical, to_rusinkiewicz
+from manifold.core.metrics import Errors
+from manifold.core.records import Array
 from manifold.io_rgl import material_name, read_bsdf
-from manifold.metrics import Errors
 from manifold.page.tabulated_pairs import THETA_D_SHARE, THETA_H_MAX_RAD, THETA_H_POWER, largest_theta_d
-from manifold.records import Array
 from manifold.shader import code
 from manifold.shader.exporting import MOST_BYTES, make_shader
 from manifold.shader.lobes import fit_lobes

@@ -20,14 +20,14 @@ import numpy as np
 from completion_baselines import BASELINES, Problem
 
 from manifold.colour.difference import colour_differences
-from manifold.directions import from_spherical
+from manifold.core.directions import from_spherical
+from manifold.core.pairs import Pairs
+from manifold.core.records import Array, Bands
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.completion import Completion
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.library.store import Library
 from manifold.model.materials import MaterialCache
-from manifold.pairs import Pairs
-from manifold.records import Array, Bands
 
 READ = 12
 REGIONS = {"within_12": (0.0, 12.0), "12_to_30": (12.0, 30.0), "beyond_30": (30.0, 181.0)}

@@ -38,6 +38,7 @@ from manifold.brdf.interface import EvaluableBRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.conversion import file_to_srgb, srgb_to_xyz, to_srgb
 from manifold.colour.difference import delta_e_2000, delta_e_2000_lab, lab_values
+from manifold.core.records import Array, Bands
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.completion import Completion
 from manifold.estimate.completions import complete
@@ -46,7 +47,6 @@ from manifold.formats.registry import read_readings
 from manifold.formats.workbook_pictures import picture_directions, picture_geometry
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
-from manifold.records import Array, Bands
 from manifold.render.bsdf_parameters import principled
 from manifold.render.fitted_brdf import FittedBRDF
 from manifold.surface.estimate import Surface, estimate_surface

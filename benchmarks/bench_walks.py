@@ -33,13 +33,13 @@ from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour import ball_colours
 from manifold.colour.conversion import to_xyz
 from manifold.colour.difference import to_lab
-from manifold.directions import from_spherical
+from manifold.core.directions import from_spherical
+from manifold.core.metrics import cube_root_error
+from manifold.core.pairs import cosine_weight
+from manifold.core.records import Array, Bands
 from manifold.gp.encoding import encoding_pairs
 from manifold.library.store import Library
-from manifold.metrics import cube_root_error
 from manifold.model.walks import WALK_NODES, Walked, step_of, walk_shares
-from manifold.pairs import cosine_weight
-from manifold.records import Array, Bands
 
 BALL = ball_colours.ball()
 ELEVATIONS = np.deg2rad([20.0, 45.0, 60.0])

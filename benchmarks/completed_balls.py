@@ -19,12 +19,12 @@ from lit_balls import lit_ball, save
 
 from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.core.records import Array
 from manifold.estimate import Completion, LibraryAtoms, suggest
 from manifold.estimate.gloss import gloss_units
 from manifold.formats.readings import Readings
 from manifold.library.store import Library
 from manifold.model import brdf_errors
-from manifold.records import Array
 
 SUGGESTED = 3
 GLOSS_DEG = (20, 60)

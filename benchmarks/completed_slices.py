@@ -19,10 +19,10 @@ from left_out import Given, complete
 
 import manifold as mf
 from manifold.brdf.interface import BRDF
-from manifold.directions import from_spherical, to_spherical
+from manifold.core.directions import from_spherical, to_spherical
+from manifold.core.records import Array
 from manifold.estimate import LibraryAtoms
 from manifold.formats import geometry_ma_t12
-from manifold.records import Array
 
 INCIDENCES_DEG = (15.0, 45.0, 60.0)
 ELEVATIONS_DEG = np.linspace(-80.0, 80.0, 321)

@@ -18,11 +18,11 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import values_at
-from manifold.directions import half_vector
+from manifold.core.directions import half_vector
+from manifold.core.pairs import Pairs, RusinkiewiczGrid
+from manifold.core.records import Array, Bands
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.principled import fit_bsdf
-from manifold.pairs import Pairs, RusinkiewiczGrid
-from manifold.records import Array, Bands
 
 _EPSILON = 1e-3  # of the logarithm, in 1/sr, as Nielsen et al.
 _RIDGE = 40.0  # weight of the coefficients, as Nielsen et al.

@@ -1,8 +1,9 @@
 """The results behind the figures of the documents: their commands, the code they depend on, and their dates.
 
 `RESULTS` is the list; `run_all.py` runs it. Each `results/NAME.json` has an entry `_made`: command, version, commit,
-hash of the code, hash of the data, date, processor and processor seconds. Docstrings, comments, layout and the wording
-of sentences do not change the hash of the code. Where it is None, the result is older than this record.
+hash of the code, hash of the data, date, processor and processor seconds. The code is the benchmark, every module that
+it imports, directly or through others, and the loops of `cpp/`. Docstrings, comments, layout, the wording of sentences
+and the places of modules do not change the hash. Where it is None, the result is older than this record.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import subprocess
 from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 
 from manifold import __version__
@@ -24,45 +26,77 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 FOLDER = REPOSITORY / "benchmarks" / "results"
 MADE = "_made"
 
-_GPLVM = (
-    "gplvm.py", "gp/likelihood.py", "dls.py", "gpr.py", "gp/kernels.py", "gp/encoding.py", "pairs.py",
-)  # fmt: skip
-_BLEND = ("model/blend_fitting.py", "model/blend_space.py", "model/blending.py", "model/colour_paths.py")
-_COMPLETE = (
-    "estimate/atoms.py", "estimate/mixtures.py", "estimate/residual.py", "estimate/evidence.py", "estimate/solving.py",
-    "estimate/completion.py", "estimate/coat.py", "estimate/gloss.py",
-)  # fmt: skip
-_PICTURES = ("estimate/evidence.py", "estimate/solving.py", "estimate/pixel_mixtures.py")
-_LIGHTS = ("colour/panel.py", "colour/difference.py")
-
 
 @dataclass(frozen=True)
 class Result:
-    """A result: the command that writes it, and the modules of `manifold` that decide its figures.
+    """A result: the command that writes it; for commands of `manifold`, the modules that do their work.
 
     Words in capitals in the command stand for data, see `run_all.py`.
     """
 
     command: str
-    modules: tuple[str, ...]
+    modules: tuple[str, ...] = ()
 
     @property
     def sources(self) -> list[Path]:
-        """The files that are hashed: the benchmark and the modules."""
+        """Return the files of the code, without those of `cpp/`."""
         program = REPOSITORY / "benchmarks" / self.command.split()[0]
-        own = [program] if program.is_file() else []
+        starts = [program] if program.is_file() else []
         for module in self.modules:
-            path = REPOSITORY / "manifold" / module
-            own += sorted(path.rglob("*.py")) if path.is_dir() else [path]
-        return own
+            path = REPOSITORY / module
+            starts += sorted(path.rglob("*.py")) if path.is_dir() else [path]
+        return closure(starts)
 
     @property
     def code_hash(self) -> str:
-        """SHA-256 of what `bare` keeps of the sources, shortened."""
-        digest = hashlib.sha256()
-        for path in self.sources:
-            digest.update(bare(path.read_text(encoding="utf-8")).encode())
-        return digest.hexdigest()[:16]
+        """Return the SHA-256 of what `bare` keeps of the sources and of `cpp/`, shortened."""
+        texts = [_bare_file(path, path.stat().st_mtime_ns) for path in self.sources]
+        texts += [path.read_text(encoding="utf-8") for path in sorted((REPOSITORY / "cpp").glob("*.[ch]pp"))]
+        return hashlib.sha256("".join(sorted(texts)).encode()).hexdigest()[:16]
+
+
+@cache
+def _bare_file(path: Path, changed_ns: int) -> str:
+    """Return `bare` of a file as of its last change."""
+    return bare(path.read_text(encoding="utf-8"))
+
+
+def closure(starts: Iterable[Path]) -> list[Path]:
+    """Return files, the modules that they import anywhere, and what these import, sorted."""
+    found: set[Path] = set()
+    waiting = list(starts)
+    while waiting:
+        path = waiting.pop()
+        if path not in found:
+            found.add(path)
+            waiting += _imported(path)
+    return sorted(found)
+
+
+@cache
+def _imported(path: Path) -> tuple[Path, ...]:
+    """Return the files of this repository that a file imports."""
+    files: list[Path] = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module is not None and node.level == 0:
+            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+        else:
+            continue
+        files += [file for name in names if (file := _file_of(name)) is not None]
+    return tuple(files)
+
+
+def _file_of(name: str) -> Path | None:
+    """Return the file of a module of the package or of one beside the benchmarks; None for others."""
+    own = name.replace("manifold.cli", "cli", 1) if name.startswith("manifold.cli") else name
+    for folder in (REPOSITORY, REPOSITORY / "benchmarks", REPOSITORY / "tools"):
+        path = folder.joinpath(*own.split("."))
+        for file in (path.with_suffix(".py"), path / "__init__.pyi", path / "__init__.py"):
+            if file.is_file():
+                return file
+    return None
 
 
 HELD_OUT = (
@@ -75,67 +109,57 @@ CHARTED = (
 )  # fmt: skip
 
 RESULTS = {
-    "letter": Result("bench_letter.py FILES", (*_GPLVM, "model/fitting.py")),
-    "fair": Result("bench_fair.py FILES --every 2", (*_GPLVM, *_BLEND, *_LIGHTS)),
-    "fair_corpus": Result("bench_fair.py CORPUS --every 10", (*_GPLVM, *_BLEND, *_LIGHTS)),
-    "between": Result("bench_between.py FILES", (*_GPLVM, *_BLEND, *_LIGHTS, "analytic")),
-    "spectral": Result(
-        "bench_spectral.py LIBRARY SPECTRAL", (*_COMPLETE, *_LIGHTS, "../benchmarks/completion_baselines.py")
-    ),
-    "counts": Result(
-        "bench_counts.py LIBRARY",
-        (*_COMPLETE, *_LIGHTS, "estimate/suggestions.py", "evaluate/readings.py", "fit/principled.py",
-         "../benchmarks/completion_baselines.py"),
-    ),
-    "sequence": Result("bench_sequence.py LIBRARY", (*_COMPLETE, *_LIGHTS, "estimate/suggestions.py")),
-    "noise": Result("bench_noise.py LIBRARY", (*_COMPLETE, *_LIGHTS)),
-    "met": Result("bench_met.py LIBRARY WORKBOOKS", (*_COMPLETE, *_LIGHTS)),
-    "published": Result("bench_published.py FILES", (*_GPLVM, *_BLEND, *_LIGHTS)),
+    "letter": Result("bench_letter.py FILES"),
+    "fair": Result("bench_fair.py FILES --every 2"),
+    "fair_corpus": Result("bench_fair.py CORPUS --every 10"),
+    "between": Result("bench_between.py FILES"),
+    "spectral": Result("bench_spectral.py LIBRARY SPECTRAL"),
+    "counts": Result("bench_counts.py LIBRARY"),
+    "sequence": Result("bench_sequence.py LIBRARY"),
+    "noise": Result("bench_noise.py LIBRARY"),
+    "met": Result("bench_met.py LIBRARY WORKBOOKS"),
+    "published": Result("bench_published.py FILES"),
     "held_out": Result(
-        "bench_nonnegative.py FILES --numbers 8 12 24 --anchors principled NEURAL --methods "
-        + " ".join(HELD_OUT), (*_GPLVM, *_BLEND, *_LIGHTS, "model/reconstruction.py", "evaluate/baselines.py"),
+        "bench_nonnegative.py FILES --numbers 8 12 24 --anchors principled NEURAL --methods " + " ".join(HELD_OUT)
     ),
     "chart": Result(
         "manifold chart --library LIBRARY -o CHART " + " ".join(f"--only {key}" for key in CHARTED),
-        (*_GPLVM, *_BLEND, *_LIGHTS, "model/reconstruction.py", "evaluate/baselines.py", "evaluate/chart.py"),
+        ("manifold/study/chart.py",),
     ),
-    "readings": Result("bench_readings.py LIBRARY", (*_COMPLETE, *_LIGHTS, "estimate/expected.py")),
-    "lights": Result("bench_lights.py FILES", (*_LIGHTS, "model/reconstruction.py", "fit/principled.py")),
-    "fit": Result("bench_fit.py --files FILES --appearance-only", ("fit/principled.py", "fit/gauss_newton.py")),
-    "exports": Result("bench_exports.py --files FILES --targets gltf,openpbr", ("fit/exports",)),
-    "shader": Result("bench_shader.py FILES", ("shader", *_LIGHTS)),
-    "shader_time": Result("bench_shader.py FILES --time", ("shader",)),
-    "expected_error": Result("bench_expected_error.py LIBRARY", (*_BLEND, "model/expected_error.py")),
-    "interior": Result("bench_interior.py LIBRARY", _BLEND),
-    "walks": Result("bench_walks.py LIBRARY", ("model/walks.py",)),
-    "page": Result("bench_page.py MODEL", ("page",)),
-    "page_surfaces": Result("bench_page_surfaces.py MODEL SURFACES", ("page", "surface")),
-    "compact": Result("bench_compact.py FILES", ("library/compacting.py", "library/compact.py")),
-    "inspection": Result("bench_inspection.py --files FILES", ("brdf/consistency.py", "info.py")),
-    "photo": Result("bench_photo.py FILES", (*_PICTURES, "estimate/pixels.py")),
-    "together": Result("bench_photo.py FILES --lights studio --together", (*_PICTURES, *_COMPLETE)),
-    "lamps": Result(
-        "bench_lamps.py --files FILES --library LIBRARY --lights sun --every 2",
-        ("estimate/lamps.py", "estimate/light_probe.py", "estimate/outlines.py", *_PICTURES),
-    ),
-    "surface": Result("bench_surface.py WORKBOOK_FOLDER LIBRARY", ("surface",)),
-    "stability": Result("manifold stability", ("evaluate/stability", *_GPLVM, *_BLEND)),
-    "goniometer": Result("bench_goniometer.py", ("brdf/goniometer.py",)),
-    "render": Result("bench_render.py", ("render", "model/prediction.py")),
-    "evaluation": Result("bench_evaluation.py", ("brdf/measured.py",)),
-    "fluorescent": Result("fluorescent_light.py", ("colour/illuminants.py",)),
-    "scale": Result("bench_scale.py --sizes 50,150,500,1500,5000", ("model/landmarks.py", "model/blend_fitting.py")),
-    "cluster": Result("bench_cluster.py", ("cluster.py", "work.py", "batch.py")),
-    "gplvm": Result("bench_gplvm.py", _GPLVM),
-    "prediction": Result("bench_prediction.py", ("model/prediction.py",)),
-    "commands": Result("bench_commands.py FILES", ()),
-    "engines": Result("make engines", ("fit/exports",)),
+    "readings": Result("bench_readings.py LIBRARY"),
+    "lights": Result("bench_lights.py FILES"),
+    "fit": Result("bench_fit.py --files FILES --appearance-only"),
+    "exports": Result("bench_exports.py --files FILES --targets gltf,openpbr"),
+    "shader": Result("bench_shader.py FILES"),
+    "shader_time": Result("bench_shader.py FILES --time"),
+    "expected_error": Result("bench_expected_error.py LIBRARY"),
+    "interior": Result("bench_interior.py LIBRARY"),
+    "walks": Result("bench_walks.py LIBRARY"),
+    "page": Result("bench_page.py MODEL"),
+    "page_surfaces": Result("bench_page_surfaces.py MODEL SURFACES"),
+    "compact": Result("bench_compact.py FILES"),
+    "inspection": Result("bench_inspection.py --files FILES"),
+    "photo": Result("bench_photo.py FILES"),
+    "together": Result("bench_photo.py FILES --lights studio --together"),
+    "lamps": Result("bench_lamps.py --files FILES --library LIBRARY --lights sun --every 2"),
+    "surface": Result("bench_surface.py WORKBOOK_FOLDER LIBRARY"),
+    "stability": Result("manifold stability", ("manifold/study/stability",)),
+    "goniometer": Result("bench_goniometer.py"),
+    "render": Result("bench_render.py"),
+    "evaluation": Result("bench_evaluation.py"),
+    "fluorescent": Result("fluorescent_light.py"),
+    "scale": Result("bench_scale.py --sizes 50,150,500,1500,5000"),
+    "cluster": Result("bench_cluster.py"),
+    "gplvm": Result("bench_gplvm.py"),
+    "prediction": Result("bench_prediction.py"),
+    "commands": Result("bench_commands.py FILES"),
+    "engines": Result("make engines", ("tools/engines",)),
 }  # fmt: skip
 """Every result by name."""
 
 
 def bare(source: str) -> str:
-    """A module's syntax tree as text, without docstrings and the wording of sentences."""
+    """Return a module's syntax tree as text, without imports, docstrings and the wording of sentences."""
     return str(_plain(ast.parse(source)))
 
 
@@ -152,11 +176,14 @@ def _plain(node: object) -> object:
 
 
 def _code(value: object) -> object:
-    """Statements without expressions that are constants: docstrings of modules, classes, functions and attributes."""
+    """Statements without imports and docstrings of modules, classes, functions and attributes."""
     if not isinstance(value, list):
         return value
     return [
-        each for each in value if not (isinstance(each, ast.Expr) and isinstance(each.value, ast.Constant))
+        each
+        for each in value
+        if not isinstance(each, ast.Import | ast.ImportFrom)
+        and not (isinstance(each, ast.Expr) and isinstance(each.value, ast.Constant))
     ]
 
 

@@ -14,13 +14,13 @@ import matplotlib.pyplot as plt
 from lit_balls import lit_ball, save
 
 import manifold as mf
+from manifold.core.records import Array
 from manifold.fit import exporting, fit_samples
 from manifold.fit.exports.direct import fit_target
 from manifold.fit.exports.principled_values import Principled
 from manifold.fit.exports.targets import TargetBRDF
 from manifold.io_rgl import material_name
 from manifold.model import brdf_errors
-from manifold.records import Array
 from manifold.registries import TARGETS
 
 SIZE = 200  # pixels across a ball

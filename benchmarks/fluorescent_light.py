@@ -18,10 +18,10 @@ import numpy as np
 from manifold.analytic import corpus
 from manifold.colour.conversion import to_srgb
 from manifold.colour.illuminants import Illuminant
+from manifold.core.records import Array, BsdfFile
 from manifold.io_rgl import write_bsdf
+from manifold.pictures import figures
 from manifold.pictures.renders import RIM
-from manifold.plots import figures
-from manifold.records import Array, BsdfFile
 from manifold.render import images, scenes
 from manifold.render.render import RenderSettings, render_bsdf
 

@@ -17,12 +17,12 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.spatial import Delaunay
 
+from manifold.core.records import Array
 from manifold.model import diagnostics
 from manifold.model.colours import UNCHOSEN, ChosenColour, ColourChoice
 from manifold.model.manifold import Manifold
 from manifold.model.places import Place
-from manifold.plots import figures
-from manifold.records import Array
+from manifold.pictures import figures
 from manifold.render import thumbnails
 
 COLOURS = ("#b03030", "#d0a020", "#308040", "#2050a0", "#e8e4dc")

@@ -11,11 +11,11 @@ import numpy as np
 
 import manifold as mf
 from manifold.brdf.interface import BRDF
-from manifold.directions import to_spherical
+from manifold.core.directions import to_spherical
+from manifold.core.records import Array
 from manifold.estimate import Completion, LibraryAtoms
 from manifold.formats import Readings, geometry_ma_t12
 from manifold.io_rgl import material_name
-from manifold.records import Array
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,9 @@ from left_out import predict
 from lit_balls import lit_ball, save
 
 import manifold as mf
+from manifold.core.records import Array
 from manifold.io_rgl import material_name
 from manifold.model import brdf_errors
-from manifold.records import Array
 
 SIZE = 84  # pixels across a ball
 PER_ROW = 10

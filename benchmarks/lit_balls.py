@@ -12,7 +12,7 @@ from PIL import Image
 from manifold.brdf.interface import BRDF
 from manifold.colour import ball_colours
 from manifold.colour.conversion import encode_srgb, xyz_to_srgb
-from manifold.records import Array
+from manifold.core.records import Array
 
 _PIXELS_AT_ONCE = 512  # bounds the memory that evaluations take
 

@@ -23,12 +23,12 @@ from manifold.analytic.base import AnalyticBRDF
 from manifold.analytic.corpus import write_files
 from manifold.brdf import goniometer
 from manifold.brdf.plausibility import quadrature_albedo
-from manifold.directions import from_spherical, to_rusinkiewicz
+from manifold.core.directions import from_spherical, to_rusinkiewicz
+from manifold.core.records import Array, Bands, Indices
 from manifold.evaluate.cross_validation import Encode, Method
 from manifold.evaluate.method_data import Data
 from manifold.evaluate.seen_fits import FittedPrediction
 from manifold.io_rgl import write_bsdf
-from manifold.records import Array, Bands, Indices
 
 NUMBERS = 675  # weights and biases of a network
 _STEEPEST_DEG = 89.0  # beyond it the albedo at this incidence is taken

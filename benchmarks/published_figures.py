@@ -20,7 +20,7 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.conversion import encode_srgb
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold, Settings
-from manifold.plots import figures
+from manifold.pictures import figures
 from manifold.render.ball import render_ball
 
 AT_LATENTS = ("syn_felt_green", "syn_satin_blue", "syn_chrome_blue")

@@ -1,10 +1,11 @@
 """Run benchmarks and keep their figures in benchmarks/results/*.json, from which the documents are filled in.
 
     python benchmarks/run_all.py [NAMES...] [--data FOLDER] [--files FOLDER] [--neural FILE]
+    python benchmarks/run_all.py --list
 
 NAMES are results of `evidence.RESULTS`, by default all. FOLDER of --data holds what is there of
 
-    rgl          the 20 measured RGB files: `manifold fetch --rgb --to FOLDER/rgl`
+    rgl          the 20 measured RGB files: `manifold fetch --rgb -o FOLDER/rgl`
     neural.zip   published neural fits to them (Sztrajman et al. 2021)
     ma-t12       the six workbooks of docs/explanation/data.md
     spectral     car paints of Cornell University as pbrt-v2 ships them, and PTFE after Germer 2017
@@ -22,7 +23,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from evidence import FOLDER, REPOSITORY, RESULTS, data_hash, minutes, stamp
+from evidence import FOLDER, REPOSITORY, RESULTS, data_hash, minutes, stamp, table
 
 HERE = Path(__file__).resolve().parent
 MEASURED = {"FILES": "rgl", "NEURAL": "neural.zip", "WORKBOOKS": "ma-t12", "SPECTRAL": "spectral"}
@@ -97,7 +98,11 @@ def main() -> None:
     parser.add_argument("--data", type=Path, help="folder with all of it")
     parser.add_argument("--files", type=Path, help="folder of measured .bsdf files")
     parser.add_argument("--neural", type=Path, help="published neural fits, a folder or a zip file")
+    parser.add_argument("--list", action="store_true", help="print how the kept results were made, and stop")
     asked = parser.parse_args()
+    if asked.list:
+        print(table())
+        return
     if unknown := set(asked.names) - set(RESULTS):
         parser.error(f"unknown: {', '.join(sorted(unknown))}; expected some of {', '.join(RESULTS)}")
     given = {"FILES": asked.files, "NEURAL": asked.neural}

@@ -19,9 +19,9 @@ from left_out import Given, predict
 import manifold as mf
 from manifold.brdf import goniometer
 from manifold.colour.lights import environment
+from manifold.core.records import Array
 from manifold.model import brdf_errors
 from manifold.model.prediction import ClippedBRDF
-from manifold.records import Array
 from manifold.render import backend, images, scenes
 from manifold.render.render import RenderSettings, render_scene, rgb_film
 

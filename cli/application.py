@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from copy import copy
 from dataclasses import fields, is_dataclass
 from importlib import import_module
-from typing import Annotated, Any, get_type_hints
+from typing import Any, get_type_hints
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -16,54 +16,53 @@ from typer.core import TyperCommand, TyperGroup
 from . import outputs
 
 _REGISTRY = re.compile(r"\{(manifold[.\w]*)\.(\w+)\}")
+_RANGE = re.compile(r"(; |\s*\[)[-\d.e<>=]*x[-\d.e<>=]*\]$")  # such as `; 2<=x<=128]`
 
 
 GROUPS = {
-    "Start": {
-        "demo": ("report", "Run all main steps on built-in materials."),
-    },
-    "Files": {
-        "import": ("library", "Import files or folders into a library."),
-        "info": ("library", "Show what a file, a library, a model or a fit contains."),
-        "convert": ("instrument", "Convert between BRDF, instrument and simulator files."),
-        "fetch": ("library", "Download files of the RGL database."),
-        "compact": ("library", "Compress a library to a few per cent of its size."),
-        "corpus": ("library", "Write the built-in synthetic corpus."),
+    "Estimate from measurements": {
+        "complete": ("completion", "Estimate a whole BRDF from a few readings."),
+        "photograph": ("photograph", "Estimate the BRDF of a painted ball or tin from photographs."),
+        "surface": ("surface", "Make textures and materials from a workbook's own pictures."),
+        "reconstruct": ("model", "Approximate a measured file by a combination of a library's materials."),
+        "calibrate": ("completion", "Fit the colour correction of an instrument to a reference instrument."),
     },
     "Map": {
         "embed": ("model", "Fit a manifold to a library."),
-        "predict": ("model", "Write the material at a latent coordinate."),
-        "locate": ("model", "Find the latent of a measured file."),
-        "map": ("picture", "Draw the map of materials as rendered balls."),
+        "predict": ("model", "Write the material at a point of the map."),
         "walk": ("picture", "Draw a walk between two materials."),
-        "explore": ("picture", "Explore the map in a web page or notebook."),
+        "locate": ("model", "Find the point of the map for a measured file."),
         "find": (
             "library",
             "Find the materials of a library nearest to a material, or to a colour and gloss.",
         ),
-    },
-    "Samples": {
-        "complete": ("completion", "Estimate a full BRDF from a few readings."),
-        "photograph": ("photograph", "Estimate the BRDF of a painted ball or tin from photographs."),
-        "reconstruct": ("model", "Approximate a measured file by a combination of a library's materials."),
-        "surface": ("surface", "Make textures and materials from a workbook's own pictures."),
-        "calibrate": ("completion", "Fit the colour correction of an instrument to a reference instrument."),
+        "map": ("picture", "Draw the map of materials as rendered balls."),
+        "explore": ("picture", "Explore the map in a web page or notebook."),
     },
     "Render and export": {
         "render": ("picture", "Render a ball of a measured or predicted material."),
         "compare": ("picture", "Compare two pictures, or two rendered materials."),
+        "slices": ("picture", "Draw BRDF values over angles or wavelengths."),
         "export": ("fit", "Write a material for engines and renderers."),
         "fit": ("fit", "Fit the parameters of a BSDF, by default principled."),
     },
+    "Files": {
+        "info": ("library", "Show what a file, a library, a model or a fit contains."),
+        "import": ("library", "Import files or folders into a library."),
+        "convert": ("instrument", "Convert between BRDF, instrument and simulator files."),
+        "fetch": ("library", "Download files of the RGL database."),
+        "compact": ("library", "Compress a library to a few per cent of its size."),
+    },
     "Study": {
-        "report": ("report", "Evaluate a model."),
+        "demo": ("report", "Run all main steps on built-in materials."),
+        "report": ("report", "Evaluate a model by errors of left-out materials."),
         "chart": ("report", "Measure speed against accuracy of many settings on one library."),
         "stability": ("report", "Test known failure modes, and whether they are detected."),
         "budget": (
             "report",
             "Find the cheapest representation of a scene's materials that preserves its picture.",
         ),
-        "slices": ("picture", "Draw BRDF values over angles or wavelengths."),
+        "corpus": ("library", "Write the built-in synthetic corpus."),
     },
 }
 """Commands by the groups of `manifold --help`: the module `cli/MODULE_commands.py` of each, and its line there."""
@@ -106,7 +105,7 @@ class Command(TyperCommand):
             if parameter.param_type_name == "argument":
                 parameter.display_type_rich = lambda ctx: None  # type: ignore[method-assign]
                 arguments.append(parameter.get_help_record(ctx))
-            elif (record := parameter.get_help_record(ctx)) is not None:
+            elif (record := _without_range(parameter.get_help_record(ctx))) is not None:
                 panels[getattr(parameter, "rich_help_panel", None) or ""].append(record)
         left_out = []
         for panel in reversed(_PANELS[1:]):
@@ -174,8 +173,6 @@ def with_groups(command: Callable[..., Any]) -> Callable[..., Any]:
             parameter.replace(name=one.name, annotation=hints[one.name], default=one.default)
             for one in (() if group is None else fields(group))
         ]
-        if getattr(group, "is_hidden", False):
-            own = [each.replace(annotation=_hidden(each.annotation)) for each in own]
         parameters += own or [parameter]
 
     def run(**given: Any) -> Any:
@@ -191,11 +188,12 @@ def with_groups(command: Callable[..., Any]) -> Callable[..., Any]:
     return run
 
 
-def _hidden(annotation: Any) -> Any:
-    """Return the annotation of an option that helps do not show."""
-    option = copy(annotation.__metadata__[0])
-    option.hidden = True
-    return Annotated[annotation.__origin__, option]
+def _without_range(record: tuple[str, str] | None) -> tuple[str, str] | None:
+    """Return an option's line of a help without its range of numbers, which its error states."""
+    if record is None:
+        return None
+    names, text = record
+    return names, _RANGE.sub(lambda found: "]" if found[1] == "; " else "", text)
 
 
 app = Application(

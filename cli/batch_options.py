@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
 import typer
 
-from manifold.errors import FileFormatError, UsageError
+from manifold.core.errors import FileFormatError, UsageError
 
 from . import terminal
 from .application import SHARED
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
     from contextlib import AbstractContextManager
 
-    from manifold.batch import Batch, Command
-    from manifold.batch import Source as BatchSource
     from manifold.estimate.inputs import Input
     from manifold.estimate.sources import MaterialSource
+    from manifold.many.batch import Batch, Command
+    from manifold.many.batch import Source as BatchSource
 
     S = TypeVar("S", bound=BatchSource)
 
@@ -65,7 +65,7 @@ class WorkerOptions:
 
     def executor(self) -> AbstractContextManager[Executor | None]:
         """Return the executor for `work.run`, to enter."""
-        from manifold import work
+        from manifold.core import work
 
         if self.scheduler is None:
             return work.processes(self.workers or self.default)
@@ -73,7 +73,7 @@ class WorkerOptions:
             raise UsageError(
                 f"found --workers {self.workers} and --scheduler {self.scheduler}, expected one of them"
             )
-        from manifold import cluster
+        from manifold.core import cluster
 
         return cluster.workers(self.scheduler)
 
@@ -162,8 +162,8 @@ def make_many(
     `outputs` says what the folder is for, and what to do; `failed` what is wrong with other sources; `then` is called
     with what was made, before it is printed. For workers see `WorkerOptions.executor`.
     """
-    from manifold.batch import MEASURED, Batch, batch, cell, notes_of
     from manifold.estimate import inputs
+    from manifold.many.batch import MEASURED, Batch, batch, cell, notes_of
 
     require_folder(output, outputs, command.suffix)
     folder = or_default(output, command.what)

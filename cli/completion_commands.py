@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from manifold import progress
-from manifold.errors import UsageError
-from manifold.names import first_few
+from manifold.core import progress
+from manifold.core.errors import UsageError
+from manifold.core.names import first_few
 
 from . import options, photograph_commands, terminal
 from .application import app
@@ -19,8 +19,8 @@ from .batch_options import PER_CORE, WorkerOptions, make_many, require_folder
 from .outputs import checked, or_default
 
 if TYPE_CHECKING:
+    from manifold.core.records import Array
     from manifold.estimate.suggestions import Suggested
-    from manifold.records import Array
 
 InstrumentOption = Annotated[
     str | None,
@@ -89,7 +89,6 @@ def complete(
     ] = False,
     illuminant: options.IlluminantOption = None,
     observer: options.ObserverOption = None,
-    photos: photograph_commands.OldPhotoOptions = photograph_commands.NO_OLD,
     picture: Annotated[
         bool,
         typer.Option(
@@ -132,20 +131,6 @@ def complete(
         raise UsageError(
             f"found --lab {lab} and readings {readings[0]}, expected one of them; a colour has commas, such as 50,20,10"
         )
-    if photos.photo:
-        terminal.note_old_spelling("complete --photo", "manifold photograph")
-        request = photos.request_of(photos.photo)
-        photograph_commands.complete_photographs(
-            results, request, library, output, readings=readings, sample=sample, gloss=gloss, lab=lab, picture=picture,
-            report=report, suggest=suggest, written=written,
-        )  # fmt: skip
-        return
-    if photos.lamp:
-        if readings or lab or not suggest:
-            raise UsageError("--lamp goes with photographs; see `manifold photograph --help`")
-        terminal.note_old_spelling("complete --lamp --suggest", "photograph --suggest")
-        photograph_commands.suggest_lamps(results, library, suggest)
-        return
     if report is not None and not (readings or lab):
         raise UsageError("--report goes with readings or a colour; leave it out")
     if mixture and lab is None:
@@ -170,7 +155,7 @@ def complete(
         from manifold.estimate import coat
 
         if Path(lab).is_file():
-            from manifold import many
+            from manifold.many import commands as many
 
             if report is not None:
                 raise UsageError("--report goes with readings or one colour, found a list; leave it out")
@@ -209,7 +194,7 @@ def complete(
                 raise UsageError(
                     f"--gloss, --picture and --repeatability go with one sample, found {found}, or leave them out"
                 )
-            from manifold import many
+            from manifold.many import commands as many
 
             require_folder(output, f"{found}, or a folder")
             inputs.require_apart(readings, output or Path("completions"))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from manifold import progress
-from manifold.errors import FileFormatError, UsageError
+from manifold.core import progress
+from manifold.core.errors import FileFormatError, UsageError
 
 from . import options, terminal
 from .application import app
@@ -16,8 +17,8 @@ from .batch_options import PER_CORE, WorkerOptions, inputs_of, make_many, requir
 from .outputs import or_default, written
 
 if TYPE_CHECKING:
-    from manifold.batch import Outcome
     from manifold.estimate.sources import MaterialSource
+    from manifold.many.batch import Outcome
 
 Metric = Literal["appearance", "cube-root", "linear", "log"]
 
@@ -32,7 +33,6 @@ def fit(
         typer.Argument(help="A .bsdf file, a file of readings, a material of the library, or a place on the map; or "
         "several, folders of .bsdf files, or libraries.", metavar="MATERIAL"),
     ] = None,
-    latent: options.OldPlaceOption = None,
     colour: options.ColourOptions = options.OWN_COLOUR,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
@@ -83,13 +83,10 @@ def fit(
     from manifold.estimate.sources import FileSource, PlaceSource
     from manifold.fit import fits
     from manifold.formats import registry
-    from manifold.recognition import FIT_SUFFIX
+    from manifold.formats.recognition import FIT_SUFFIX
     from manifold.render.bsdf_parameters import principled
 
-    materials = options.material_sources(
-        sources or [], [] if latent is None else [latent], model, library,
-        colour=colour,
-    )  # fmt: skip
+    materials = options.material_sources(sources or [], model, library, colour=colour)
     if not materials:
         raise UsageError("no material is given; give files, materials of the library, or places on the map")
     places = [source for source in materials if isinstance(source, PlaceSource)]
@@ -146,7 +143,7 @@ def fit(
 def _draw(results: terminal.Results, outcome: Outcome[Any], source: MaterialSource) -> None:
     """Draw a picture beside the JSON of a fit."""
     from manifold.estimate.source_files import source_file
-    from manifold.fit.comparison import picture_of_fit
+    from manifold.pictures.fit_comparison import picture_of_fit
 
     target = outcome.path.with_suffix(".png")
     with progress.shown("Drawing"), source_file(source) as path:
@@ -177,7 +174,6 @@ def export(
             show_default=False,
         ),
     ] = None,
-    latent: options.OldPlaceOption = None,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
     colour: options.ColourOptions = options.OWN_COLOUR,
@@ -191,8 +187,9 @@ def export(
     target: Annotated[
         str | None,
         typer.Option(
-            help="The target, if neither the suffix nor the fit determines it: {manifold.registries.TARGETS}; or "
-            "shader, a folder of tables and code that evaluate the BRDF itself. [default for folders: gltf]",
+            help="The target, if the suffix does not determine it: {manifold.registries.TARGETS}; or several, with "
+            "commas between: their files go into the folder -o; or shader, a folder of a texture and code "
+            "that evaluate the BRDF itself. [default for folders: gltf]",
             metavar="NAME",
         ),
     ] = None,
@@ -223,8 +220,9 @@ def export(
     """Export materials to rendering engines, and report the error of each engine's shading model.
 
     The target's own model is fitted to the material, which takes seconds. The error is the CIEDE2000 between
-    balls of the material and of its fit, mean of {manifold.judged_lights.LIGHTS} that the fit did not use. The error of
-    Mitsuba's principled, where the fit starts, is printed beside it. A shader evaluates the BRDF itself, without a fit.
+    balls of the material and of its fit, mean of {manifold.core.judged_lights.LIGHTS} that the fit did not use. The
+    error of Mitsuba's principled, where the fit starts, is printed beside it. A shader evaluates the BRDF itself,
+    without a fit.
     """
     from manifold.estimate.sources import FileSource
     from manifold.fit import exporting
@@ -236,9 +234,13 @@ def export(
         raise UsageError(
             f"found --pack {pack} and -o {output}, expected one of them: both are where to write"
         )
-    if pack is not None and source is None and latent is None:
+    if source is None:
+        if pack is None:
+            raise UsageError(
+                "no material is given; give one: a file, a name, or a place such as -0.3,1.2 or FROM:TO:T"
+            )
         source = str(library or options.DEFAULT_LIBRARY)
-    material = options.one_material(source, latent, model, library, colour=colour)
+    material = options.material_sources([source], model, library, colour=colour)[0]
     if target == "shader":
         if against is not None:
             raise UsageError("--against goes with the fit of a target's model; leave it out for a shader")
@@ -246,30 +248,42 @@ def export(
         return
     if tolerance is not None:
         raise UsageError("--tolerance goes with --target shader; leave it out for models that are fitted")
+    targets = [TARGETS[name] for name in dict.fromkeys(map(str.strip, (target or "gltf").split(",")))]
+    if len(targets) > 1 and (picture or pack is not None):
+        raise UsageError(f"--picture and --pack go with one target, found {target}")
     if isinstance(material, FileSource) and material.path.is_dir():
         if against is not None:
             raise UsageError("--against goes with the JSON of one fit; leave it out for a folder")
-        command = exporting.exports(
-            TARGETS[target or "gltf"], with_pictures=picture, is_pack=pack is not None
-        )
+        if len(targets) > 1:
+            command = exporting.exports_of_many(targets)
+        else:
+            command = exporting.exports(targets[0], with_pictures=picture, is_pack=pack is not None)
         make_many(results, command, exporting.export_sources(material.path), pack or output)
         return
     if pack is not None:
         raise UsageError(f"--pack goes with a library or a folder of files, found {material}; use -o for one")
     name = material_name(Path(material.name.removesuffix(".fit.json")))
-    path = or_default(output, name + TARGETS[target or "gltf"].suffix)
+    if len(targets) > 1:
+        folder = or_default(output, ".")
+        require_folder(folder, "the files of several targets; name a folder", targets[0].suffix)
+        with progress.shown("Exporting"):
+            outcomes = exporting.export_many(material, targets, folder, name, against=against)
+        _show_exports(results, outcomes)
+        return
+    path = or_default(output, name + targets[0].suffix)
     drawn = path.with_suffix(".png") if picture else None
     with progress.shown("Exporting"):
-        outcome = exporting.export(material, target, path, against=against, picture=drawn)
-    _show_export(results, outcome, drawn)
+        named = targets[0].name if target else None
+        outcome = exporting.export(material, named, path, against=against, picture=drawn)
+    _show_exports(results, [outcome], drawn)
 
 
 def _export_shader(
     results: terminal.Results, material: MaterialSource, output: Path | None, tolerance: float | None,
     picture: bool, pack: Path | None,
 ) -> None:  # fmt: skip
+    from manifold.core.metrics import Errors
     from manifold.estimate.inputs import find_inputs, is_many
-    from manifold.metrics import Errors
     from manifold.shader import exporting
 
     tolerance = exporting.DEFAULT_TOLERANCE if tolerance is None else tolerance
@@ -297,16 +311,25 @@ def _export_shader(
     results.document({"exports": [outcome.to_json()], "failed": []})
 
 
-def _show_export(results: terminal.Results, outcome: Outcome[Any], picture: Path | None) -> None:
-    from manifold.metrics import Errors
+def _show_exports(
+    results: terminal.Results, outcomes: Sequence[Outcome[Any]], picture: Path | None = None
+) -> None:
+    from manifold.core.metrics import Errors
 
-    content = outcome.content or {}
-    rows = terminal.parameter_rows(content["parameters"])
-    rows["CIEDE2000 of the ball"] = f"{Errors(**content['errors'])}, against the {content['against']}"
-    if content["principled_errors"] is not None:
-        rows["Mitsuba's principled"] = Errors(**content["principled_errors"])
-    if picture is not None:
-        rows["picture"] = picture
-    rows |= terminal.numbered("note", outcome.notes)
-    results.rows(f"Exported {outcome.path} ({content['target']})", rows)
-    results.document({"exports": [outcome.to_json()], "failed": []})
+    for outcome in outcomes:
+        content = outcome.content or {}
+        rows = terminal.parameter_rows(content["parameters"])
+        rows["colour space"] = content["colour_space"]
+        against = f"against the {content['against']}"
+        if several := content.get("implementations"):
+            for name, errors in several.items():
+                rows[f"CIEDE2000 of the ball in {name}"] = f"{Errors(**errors)}, {against}"
+        else:
+            rows["CIEDE2000 of the ball"] = f"{Errors(**content['errors'])}, {against}"
+        if content["principled_errors"] is not None:
+            rows["Mitsuba's principled"] = Errors(**content["principled_errors"])
+        if picture is not None:
+            rows["picture"] = picture
+        rows |= terminal.numbered("note", outcome.notes)
+        results.rows(f"Exported {outcome.path} ({content['target']})", rows)
+    results.document({"exports": [outcome.to_json() for outcome in outcomes], "failed": []})

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from manifold import progress
-from manifold.errors import UsageError
+from manifold.core import progress
+from manifold.core.errors import UsageError
 
 from . import options, terminal
 from .application import app
@@ -84,7 +84,7 @@ def convert(
     """
     from manifold.convert import conversion
     from manifold.convert.targets import Options
-    from manifold.recognition import is_readings, is_rgl
+    from manifold.formats.recognition import is_readings, is_rgl
 
     results = terminal.Results(json)
     sources = options.several_materials(inputs, model, library)
@@ -96,7 +96,7 @@ def convert(
             raise UsageError(f"--unit {unit} goes with one file, found several, or a folder; leave it out")
         if report is not None:
             raise UsageError("--report goes with one file, found several, or a folder; leave it out")
-        from manifold import many
+        from manifold.many import commands as many
 
         command = many.conversions(
             to or "rgl", correction=correction, options=Options(resolution, incidences)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from manifold import progress
-from manifold.errors import LibraryError, UsageError
-from manifold.names import percent
+from manifold.core import progress
+from manifold.core.errors import LibraryError, UsageError
+from manifold.core.names import percent
 
 from . import options, terminal
 from .application import app
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 ToleranceOption = Annotated[
     float | None,
     typer.Option(
-        help="Largest difference of a compact material from the original: {manifold.judged_lights.BALL}.  "
+        help="Largest difference of a compact material from the original: {manifold.core.judged_lights.BALL}.  "
         "[default: 0.2]",
         metavar="E",
     ),
@@ -83,14 +83,14 @@ def corpus(
 
 @app.command(
     "fetch",
-    epilog="Example: manifold fetch satin_gold paper_blue --to rgl",
+    epilog="Example: manifold fetch satin_gold paper_blue -o rgl",
 )
 def fetch(
     names: Annotated[
         list[str] | None,
         typer.Argument(help="Names of materials; by default all 51 isotropic ones.", metavar="NAME"),
     ] = None,
-    to: Annotated[Path, typer.Option(help="The folder for the files.", metavar="FOLDER")] = Path("rgl"),
+    output: Annotated[Path, options.output_option("The folder for the files.", "FOLDER")] = Path("rgl"),
     base_url: Annotated[
         str | None, typer.Option(help="Another server with the same folders and files.", metavar="URL")
     ] = None,
@@ -115,13 +115,13 @@ def fetch(
     with progress.shown("Downloading", in_bytes=True):
         result = fetching.fetch(
             names or None,
-            to,
+            output,
             base_url=base_url or fetching.BASE_URL,
             anisotropic=anisotropic,
             rgb=rgb,
         )
     results.rows(
-        f"Files in {to}",
+        f"Files in {output}",
         {
             "downloaded": len(result.downloaded),
             "already there": len(result.present),
@@ -231,7 +231,7 @@ def compact(
     bit for bit. All commands read compact libraries, and earlier models stay valid. The bound on the cube-root error
     is proportional to the tolerance: 1 % at the default.
     """
-    from manifold.judged_lights import BALL
+    from manifold.core.judged_lights import BALL
     from manifold.library.compacting import compact_library
     from manifold.library.identity import DEFAULT_TOLERANCE
     from manifold.library.store import Library
@@ -276,7 +276,6 @@ def info(
         bool,
         typer.Option("--system", help="Show versions, extras and the renderer of this installation instead."),
     ] = False,
-    renderer: Annotated[bool, typer.Option("--renderer", hidden=True)] = False,
     library: options.MovedLibraryOption = None,
     json: options.JsonOption = None,
 ) -> None:
@@ -286,16 +285,14 @@ def info(
     {manifold.registries.FORMATS}.
     """
     results = terminal.Results(json)
-    if renderer:
-        terminal.note_old_spelling("--renderer", "--system")
-    if system or renderer:
-        from manifold.system import describe
+    if system:
+        from manifold.cli.system import describe
 
         installation, document = describe()
         results.rows("This installation", installation)
         results.document(document)
         return
-    from manifold import info
+    from manifold.convert import contents as info
 
     with progress.shown("Verifying" if verify else "Reading"):
         source = options.material_source(path, model, library)
@@ -351,9 +348,9 @@ def find(
 ) -> None:
     """List the materials of a library nearest to a material, or to a colour, a gloss, or both.
 
-    The distance from a BRDF is the CIEDE2000 of balls in {manifold.judged_lights.LIGHTS}; from readings, the CIEDE2000
-    at their geometries; from --lab, the CIEDE2000 at 45/0 under D65 and the 2 degree observer. A factor of 1.2 in gloss
-    counts as a CIEDE2000 of 1.
+    The distance from a BRDF is the CIEDE2000 of balls in {manifold.core.judged_lights.LIGHTS}; from readings, the
+    CIEDE2000 at their geometries; from --lab, the CIEDE2000 at 45/0 under D65 and the 2 degree observer. A factor of
+    1.2 in gloss counts as a CIEDE2000 of 1.
     """
     from manifold.estimate import attributes, coat, completions
     from manifold.formats.readings import Readings
@@ -398,7 +395,7 @@ def _sought(text: str, sample: str | None, model: Path, library: Path) -> BRDF |
     from manifold.estimate.source_files import read_source
     from manifold.estimate.sources import FileSource, parse_source
     from manifold.formats import registry
-    from manifold.recognition import is_readings
+    from manifold.formats.recognition import is_readings
 
     source = parse_source(text, model, library)
     if isinstance(source, FileSource) and is_readings(source.path):

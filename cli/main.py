@@ -16,10 +16,10 @@ from typing import Any
 import typer
 
 from manifold import __version__
-from manifold.errors import ManifoldError, UsageError, in_words
-from manifold.extras import missing
-from manifold.names import printable
-from manifold.progress import display_with
+from manifold.core.errors import ManifoldError, UsageError, in_words
+from manifold.core.extras import missing
+from manifold.core.names import printable
+from manifold.core.progress import display_with
 
 from . import application, terminal
 

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from manifold import progress
-from manifold.errors import ManifoldError, UsageError
-from manifold.names import percent
+from manifold.core import progress
+from manifold.core.errors import ManifoldError, UsageError
+from manifold.core.names import percent
 
-from . import options, photograph_commands, terminal
+from . import options, terminal
 from .application import app
 from .batch_options import (
     ONE,
@@ -167,14 +167,11 @@ def embed(
 
     Runs in this process on all cores, or with --scheduler as one task on one worker.
     """
+    from manifold.core.judged_lights import BALL_COLUMN
     from manifold.evaluate.selection import PAYS, embed
-    from manifold.judged_lights import BALL_COLUMN
     from manifold.model.manifold import Settings
 
     results = terminal.Results(json)
-    if kind == "material":
-        terminal.note_old_spelling("embed --kind material", "--kind gplvm")
-        kind = "gplvm"
     if kind == "blend" and not as_published:
         for name, value in (("prior", prior), ("grid", grid)):
             if value is not None:
@@ -282,7 +279,7 @@ def predict(
             show_default=False,
         ),
     ] = None,
-    latent: options.OldPlaceOption = None,
+    latent: Annotated[str | None, typer.Option("--latent", hidden=True)] = None,
     points: PointsOption = None,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
@@ -324,8 +321,8 @@ def predict(
             raise UsageError(
                 "found --from and a latent, colour or gloss; write these into columns of the table"
             )
-        from manifold import many
         from manifold.estimate.inputs import read_points
+        from manifold.many import commands as many
 
         rows, failed = read_points(points, model, library)
         command = many.predictions_of(model, library=library, options=written)
@@ -386,8 +383,6 @@ def locate(
             "several materials, the folder. [default for several: locations]"
         ),
     ] = None,
-    photos: photograph_commands.OldPhotoOptions = photograph_commands.NO_OLD,
-    picture: Annotated[Path | None, written("--picture", help="", hidden=True)] = None,
     physical: options.PhysicalOption = False,
     workers: WorkerOptions = PER_CORE,
     json: options.JsonOption = None,
@@ -402,23 +397,6 @@ def locate(
     from manifold.model.output_file import OutputOptions
 
     results = terminal.Results(json)
-    if photos.photo:
-        if materials:
-            raise UsageError(f"found {materials[0]} and --photo, expected one of them")
-        from manifold.estimate import descriptions
-
-        terminal.note_old_spelling(
-            "locate --photo", "manifold photograph, then manifold locate on its result"
-        )
-        request = photos.request_of(photos.photo)
-        with progress.shown("Comparing pixels"):
-            seen = descriptions.locate_photographs(
-                model, request, output, library=library, picture=picture,
-                options=OutputOptions(physical, terminal.is_strict()),
-            )  # fmt: skip
-        photograph_commands.show_completion(results, "Located the photographed ball", seen, seen.rows)
-        results.document(seen)
-        return
     if not materials:
         raise UsageError(
             "no material is given; give a file, a material of the library, or a place on the map"
@@ -426,7 +404,7 @@ def locate(
     written = OutputOptions(physical, terminal.is_strict())
     sources = options.several_materials(materials, model, library)
     if (several := inputs_of(sources, output)) is not None:
-        from manifold import many
+        from manifold.many import commands as many
 
         command = many.locations(model, library=library, options=written)
         make_many(results, command, several, output, workers.executor())
@@ -482,7 +460,7 @@ def reconstruct(
     written = OutputOptions(physical, terminal.is_strict())
     sources = options.several_materials(materials, model, library)
     if (several := inputs_of(sources, output)) is not None:
-        from manifold import many
+        from manifold.many import commands as many
 
         command = many.reconstructions_of(
             library, without=tuple(without or ()), numbers=numbers, options=written

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from manifold.errors import UsageError
+from manifold.core.errors import UsageError
 
-from . import terminal
 from .application import COLOUR, GRID
 from .outputs import written
 
@@ -114,8 +113,6 @@ class AttributeOptions:
 
 OWN_COLOUR, NO_ATTRIBUTES = ColourOptions(), AttributeOptions()
 """None of these options."""
-OldPlaceOption = Annotated[str | None, typer.Option("--latent", hidden=True)]
-"""A place, as versions up to 0.3 named it; it is an argument now."""
 MATERIAL = "FILE|NAME|X,Y|FROM:TO:T"
 """Metavariable of a material: a file, a material of the library, or a place on the map."""
 GlossOption = Annotated[
@@ -212,40 +209,21 @@ def material_source(text: str, model: Path, library: Path | None) -> MaterialSou
 
 def several_materials(texts: Sequence[str], model: Path, library: Path | None) -> list[MaterialSource]:
     """Return the materials that arguments name; patterns such as `*.bsdf` stand for their matches."""
-    from manifold.disk import matching
+    from manifold.core.disk import matching
 
     return [material_source(each, model, library) for text in texts for each in matching(text)]
 
 
 def material_sources(
-    texts: Sequence[str], latents: Sequence[str], model: Path, library: Path | None, *,
-    colour: ColourOptions,
-) -> list[MaterialSource]:  # fmt: skip
-    """Return the materials that arguments name, predictions in the colour of the options.
-
-    `latents` are places by the old option --latent, and follow the others.
-    """
+    texts: Sequence[str], model: Path, library: Path | None, *, colour: ColourOptions
+) -> list[MaterialSource]:
+    """Return the materials that arguments name, predictions in the colour of the options."""
     from manifold.estimate.sources import PlaceSource
 
-    if latents:
-        terminal.note_old_spelling(f"--latent {latents[0]}", f"the argument {latents[0]}")
     sources = several_materials(texts, model, library)
-    sources += [PlaceSource(model, latent.strip(), library) for latent in latents]
     are_measured = not any(isinstance(source, PlaceSource) for source in sources)
     refused = "predictions; files and materials have their own colours" if are_measured else None
     choice = colour.choice(refused=refused)
     return [
         replace(source, colour=choice) if isinstance(source, PlaceSource) else source for source in sources
     ]
-
-
-def one_material(
-    text: str | None, latent: str | None, model: Path, library: Path | None, *,
-    colour: ColourOptions,
-) -> MaterialSource:  # fmt: skip
-    """Return the one material of a command, see `material_sources`."""
-    if (text is None) == (latent is None):
-        found = "no material is given" if text is None else f"{text} and --latent {latent} are given"
-        raise UsageError(f"{found}; give one: a file, a name, or a place such as -0.3,1.2 or FROM:TO:T")
-    texts, latents = ([given] if given is not None else [] for given in (text, latent))
-    return material_sources(texts, latents, model, library, colour=colour)[0]

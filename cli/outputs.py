@@ -10,8 +10,8 @@ from typing import Any, NamedTuple, get_type_hints
 
 import typer
 
-from manifold import disk
-from manifold.errors import UsageError
+from manifold.core import disk
+from manifold.core.errors import UsageError
 
 
 class _Running(NamedTuple):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from manifold import progress
-from manifold.errors import UsageError
+from manifold.core import progress
+from manifold.core.errors import UsageError
 
 from . import options, terminal
 from .application import TAKEN, app
@@ -190,17 +190,6 @@ class PhotoOptions:
 NONE = PhotoOptions()
 
 
-@dataclass(frozen=True)
-class OldPhotoOptions(PhotoOptions):
-    """The options of `photograph` in commands that took photographs in version 0.3; helps do not show them."""
-
-    photo: Annotated[list[Path] | None, typer.Option("--photo", metavar="PICTURE")] = None
-    is_hidden: ClassVar[bool] = True
-
-
-NO_OLD = OldPhotoOptions()
-
-
 @app.command(
     "photograph",
     epilog="Example: manifold photograph a.png b.png c.png --lamp found -o paint.bsdf",
@@ -351,7 +340,7 @@ def show_rows(
 
 def show_plan(results: terminal.Results, plan: LampPlan, beside: str) -> None:
     """Print where to hold a lamp."""
-    from manifold.judged_lights import LIGHTS
+    from manifold.core.judged_lights import LIGHTS
 
     heads = ("lamp from the camera", "ball", "colour", "gloss 60", "flop")
 

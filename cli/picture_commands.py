@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from manifold import progress
-from manifold.errors import UsageError
+from manifold.core import progress
+from manifold.core.errors import UsageError
 
 from . import options, terminal
 from .application import LIGHT, app
 from .batch_options import ONE, OneWorkerOptions, PointsOption, inputs_of, make_many
-from .outputs import or_default, written
+from .outputs import or_default
 
 if TYPE_CHECKING:
     pass
@@ -121,7 +121,6 @@ def slices(
             help=".bsdf files, fits, materials of the library, or places on the map.", metavar="MATERIAL"
         ),
     ] = None,
-    latent: Annotated[list[str] | None, typer.Option("--latent", hidden=True)] = None,
     colour: options.ColourOptions = options.OWN_COLOUR,
     kind: Annotated[
         SliceKind,
@@ -140,13 +139,12 @@ def slices(
     json: options.JsonOption = None,
 ) -> None:
     """Draw measured and predicted BRDFs beside each other: slices at incidence 20, 40 and 60 degrees."""
-    from manifold.pictures import maps
-    from manifold.plots import figures
+    from manifold.pictures import figures, maps
 
     results = terminal.Results(json)
     figures.require_writable(output)
     wavelengths = parse_wavelengths(bands) if bands is not None else []
-    materials = options.material_sources(names or [], latent or [], model, library, colour=colour)
+    materials = options.material_sources(names or [], model, library, colour=colour)
     drawn = maps.sources(materials)
     maps.slices(drawn, output, kind=kind, wavelengths_nm=wavelengths)
     labels = [source.label for source in drawn]
@@ -176,12 +174,12 @@ def parse_wavelengths(text: str) -> list[float]:
 
 @app.command(
     "explore",
-    epilog="Example: manifold explore, or manifold explore --html map.html",
+    epilog="Example: manifold explore, or manifold explore -o map.html",
 )
 def explore(
     output: Annotated[
         Path | None,
-        written("--html", help="Write the page as one file that needs no network, and stop.", metavar="FILE"),
+        options.output_option("Write the page as one HTML file that needs no network, and stop."),
     ] = None,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
@@ -271,7 +269,6 @@ def render(
             show_default=False,
         ),
     ] = None,
-    latent: options.OldPlaceOption = None,
     points: PointsOption = None,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
@@ -310,31 +307,27 @@ def render(
         size=size, samples=samples, seed=seed, illuminant=illuminant, environment=environment
     )
     if points is not None:
-        if materials or latent is not None or colour != options.OWN_COLOUR:
+        if materials or colour != options.OWN_COLOUR:
             raise UsageError("found --from and a material or colour; write these into columns of the table")
-        from manifold import many
         from manifold.estimate.inputs import read_points
+        from manifold.many import commands as many
 
         rows, failed = read_points(points, model, library)
         command = many.renders(settings, model=model, library=library, direct=direct)
         make_many(results, command, rows, output, workers.executor(), failed=failed)
         return
-    from manifold.recognition import is_rendered
+    from manifold.formats.recognition import is_rendered
 
-    sources = options.material_sources(
-        materials or [], [] if latent is None else [latent], model, library,
-        colour=colour,
-    )  # fmt: skip
-    if not sources or (materials and latent is not None):
-        both = f"{', '.join(materials or ())} and --latent {latent} are given"
-        found = both if sources else "no material is given"
+    sources = options.material_sources(materials or [], model, library, colour=colour)
+    if not sources:
         raise UsageError(
-            f"{found}; give one: a file, a name, or a place such as -0.3,1.2 or FROM:TO:T; or several of these"
+            "no material is given; give one: a file, a name, or a place such as -0.3,1.2 or FROM:TO:T; or several of "
+            "these"
         )
     if (several := inputs_of(sources, output, is_rendered)) is not None:
         if direct:
             raise UsageError("--direct goes with one place, or with --from")
-        from manifold import many
+        from manifold.many import commands as many
 
         make_many(results, many.renders(settings), several, output, workers.executor())
         return

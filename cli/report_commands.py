@@ -9,24 +9,24 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from manifold import progress
-from manifold.errors import UsageError
+from manifold.core import progress
+from manifold.core.errors import UsageError
 
 from . import options, terminal
 from .application import app
 from .batch_options import ONE, OneWorkerOptions
-from .outputs import written
+from .outputs import checked
 
 if TYPE_CHECKING:
-    from manifold.evaluate.budget.budgets import Budget
-    from manifold.evaluate.chart import Chart
+    from manifold.study.budget.budgets import Budget
+    from manifold.study.chart import Chart
 
 Grid = Literal["default", "hikichi"]
 
 
 @app.command(
     "report",
-    epilog="Example: manifold report --json report.json --picture map.png",
+    epilog="Example: manifold report --json report.json --picture",
 )
 def report(
     model: options.ModelOption = options.DEFAULT_MODEL,
@@ -56,9 +56,8 @@ def report(
         ),
     ] = False,
     picture: Annotated[
-        Path | None,
-        written("--picture", help="Also draw the map of the latents.", metavar="FILE.png"),
-    ] = None,
+        bool, typer.Option("--picture", help="Also draw the map of the latents, into the model's name, .png.")
+    ] = False,
     workers: OneWorkerOptions = ONE,
 ) -> None:
     """Evaluate a model: reconstruction, leave-one-out against baselines, plausibility, times.
@@ -72,7 +71,7 @@ def report(
     with progress.shown("Evaluating"), workers.executor() as executor:
         made = make_report(
             model, grid, library=library, compare=compare, all_bands=all_bands, principled=principled,
-            picture=picture, workers=executor,
+            picture=checked(Path(f"{model.stem}.png"), "picture") if picture else None, workers=executor,
         )  # fmt: skip
     results.text(format_report(made))
     results.document(made)
@@ -100,7 +99,7 @@ def demo(
     Takes about a minute and a half on two cores. Each result is reported as soon as it is ready; FOLDER/index.html
     shows all of them.
     """
-    from manifold import demo
+    from manifold.cli import demo
 
     results = terminal.Results()
 
@@ -163,10 +162,10 @@ def chart(
     P, B and F mark settings on the Pareto front of error against time to predict, bytes, or time to fit. Fits to the
     evaluated materials themselves are not marked. With --readings, the work is not shared.
     """
-    from manifold.evaluate.chart import make_chart
     from manifold.library.store import Library
     from manifold.model.manifold import Manifold
-    from manifold.plots import figures
+    from manifold.pictures import figures
+    from manifold.study.chart import make_chart
 
     results = terminal.Results(json)
     if output is not None:
@@ -189,10 +188,10 @@ def chart(
 
 
 def _write_chart(chart: Chart, results: terminal.Results, output: Path | None) -> None:
-    from manifold.evaluate import chart_figure
-    from manifold.evaluate.chart import conclusion
-    from manifold.judged_lights import BALL_COLUMN
-    from manifold.plots import figures
+    from manifold.core.judged_lights import BALL_COLUMN
+    from manifold.pictures import figures
+    from manifold.study import chart_figure
+    from manifold.study.chart import conclusion
 
     if said := conclusion(chart):
         results.sentence(said)
@@ -233,12 +232,12 @@ def _chart_rows(chart: Chart) -> list[list[str]]:
 def _chart_readings(
     results: terminal.Results, library: Path, only: Sequence[str], output: Path | None
 ) -> None:
+    from manifold.core.judged_lights import BALL_COLUMN
     from manifold.estimate.atoms import LibraryAtoms
-    from manifold.evaluate import chart_figure
     from manifold.evaluate.readings import measure_curves
-    from manifold.judged_lights import BALL_COLUMN
     from manifold.library.store import Library
-    from manifold.plots import figures
+    from manifold.pictures import figures
+    from manifold.study import chart_figure
 
     opened = Library.open(library)
     with progress.shown("Chart"):
@@ -263,15 +262,14 @@ def _chart_readings(
 
 @app.command(
     "stability",
-    epilog="Example: manifold stability --only duplicates --picture stability.png",
+    epilog="Example: manifold stability --only duplicates -o stability.png",
 )
 def stability(
     only: Annotated[
         list[str] | None, typer.Option(help="A failure mode's name; may be repeated.", metavar="NAME")
     ] = None,
-    picture: Annotated[
-        Path | None,
-        written("--picture", "-o", help="Plot error against severity into this file.", metavar="FILE.png"),
+    output: Annotated[
+        Path | None, options.output_option("A picture of error against severity: .png, .pdf or .svg.")
     ] = None,
     workers: OneWorkerOptions = ONE,
     json: options.JsonOption = None,
@@ -282,19 +280,19 @@ def stability(
     the result is silently wrong. A false alarm is a warning or a refusal for harmless inputs. Both are defects of this
     program; new ones set the exit status to 1. Outcomes are listed in order of severity.
     """
-    from manifold.evaluate.stability import catalogue, stability_figure
-    from manifold.evaluate.stability.catalogue import MODES
-    from manifold.evaluate.stability.trials import run_modes, select_modes
-    from manifold.plots import figures
+    from manifold.pictures import figures
+    from manifold.study.stability import catalogue, stability_figure
+    from manifold.study.stability.catalogue import MODES
+    from manifold.study.stability.trials import run_modes, select_modes
 
     results = terminal.Results(json)
     modes = select_modes(MODES, only or ())
-    if picture is not None:
-        figures.require_writable(picture)
+    if output is not None:
+        figures.require_writable(output)
     with progress.shown("Failure modes"), workers.executor() as executor:
         trials = run_modes(modes, executor)
-    if picture is not None:
-        figures.save(stability_figure.panels(trials, modes), picture)
+    if output is not None:
+        figures.save(stability_figure.panels(trials, modes), output)
     results.sentence(catalogue.conclusion(trials))
     results.table(catalogue.COLUMNS, catalogue.table(trials))
     results.text(catalogue.summary(trials) + "\n")
@@ -353,9 +351,13 @@ def budget(
         int, typer.Option(help="Seed of the noise; equal seeds give equal pictures.", metavar="N", min=0)
     ] = 0,
     picture: Annotated[
-        Path | None,
-        written("--picture", help="Also draw both renders and the cost of every representation."),
-    ] = None,
+        bool,
+        typer.Option(
+            "--picture",
+            help="Also draw both renders and the cost of every representation, into the folder's name, .png, or "
+            "budget.png.",
+        ),
+    ] = False,
     json: options.JsonOption = None,
 ) -> None:  # fmt: skip
     """Find the cheapest representation of each measured material that preserves the rendered picture.
@@ -363,22 +365,23 @@ def budget(
     BSDFs of the types measured and manifold are replaced by a parametric fit, by fewer bands or by fewer angles,
     or are kept. By convention a CIEDE2000 above 1 is called visible.
     """
-    from manifold.evaluate.budget import budgets
-    from manifold.evaluate.budget.search import Tolerance
+    from manifold.study.budget import budgets
+    from manifold.study.budget.search import Tolerance
 
     results = terminal.Results(json)
     if (scene is None) == (example is None):
         both = "" if scene is None else ", not both"
         raise UsageError(f"give a scene or --example NAME{both}")
     if output is not None and output.suffix.lower() in (".png", ".xml", ".json") and not output.is_dir():
-        raise UsageError(f"{output}: named like a file, expected a folder; --picture FILE draws the renders")
+        raise UsageError(f"{output}: named like a file, expected a folder; --picture draws the renders")
     tolerance = Tolerance(max_delta_e, max_flip, max_bytes, max_ms)
     settings = budgets.BudgetSettings(size, samples, seed)
+    drawn = checked((output or Path("budget")).with_suffix(".png"), "picture") if picture else None
     with progress.shown("Budget"):
         if scene is not None:
-            made = budgets.budget_scene(scene, tolerance, settings, output, picture)
+            made = budgets.budget_scene(scene, tolerance, settings, output, drawn)
         else:
-            made = budgets.example(str(example), tolerance, settings, output, picture)
+            made = budgets.example(str(example), tolerance, settings, output, drawn)
     _show_budget(results, made)
 
 

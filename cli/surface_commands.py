@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from manifold import progress
-from manifold.errors import UsageError
+from manifold.core import progress
+from manifold.core.errors import UsageError
 
 from . import options, terminal
 from .application import app
@@ -87,7 +87,7 @@ def surface(
     else:
         samples = [] if sample is not None else inputs.find_samples(sources)
         if len(samples) > 1 or any(source.is_dir() for source in sources):
-            from manifold import many
+            from manifold.many import commands as many
 
             if output is not None:
                 inputs.require_apart(sources, output)

@@ -13,9 +13,10 @@ from typing import Any
 
 import typer
 
-from manifold import __version__, disk, text_tables
-from manifold.names import first_few, printable
-from manifold.progress import Progress as Listener
+from manifold import __version__
+from manifold.core import disk, text_tables
+from manifold.core.names import first_few, printable
+from manifold.core.progress import Progress as Listener
 
 _is_strict = False
 warned: list[str] = []
@@ -144,7 +145,7 @@ class Results:
             return
         import json  # helps need none, and no arrays
 
-        from manifold.records import plain
+        from manifold.core.records import plain
 
         document = {"program": f"manifold {__version__}", **plain(document), "warnings": list(warned)}
         text = json.dumps(document, indent=2, allow_nan=False) + "\n"
@@ -178,11 +179,6 @@ def parameter_rows(parameters: Mapping[str, Any]) -> dict[str, object]:
 def numbered(label: str, values: Sequence[object]) -> dict[str, object]:
     """Return rows of `Results.rows` for several values of one label: the second is labelled `label 2`."""
     return {label if k == 1 else f"{label} {k}": value for k, value in enumerate(values, start=1)}
-
-
-def note_old_spelling(old: str, new: str) -> None:
-    """Print on stderr that a spelling of version 0.3 still works, and its replacement."""
-    print(f"manifold: note: {old} is now {new}; version 0.5 removes the old spelling", file=sys.stderr)
 
 
 def megabytes(size: int) -> str:

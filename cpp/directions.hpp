@@ -3,7 +3,7 @@
 
 #include "common.hpp"
 
-constexpr double LEVEL = 1e-9; // cosine of a direction at the horizon; `manifold.pairs.LEVEL`
+constexpr double LEVEL = 1e-9; // cosine of a direction at the horizon; `manifold.core.pairs.LEVEL`
 
 // atan2 without branches or calls, so that loops over it are vectorised; within two units in the last place.
 // Source: the rational approximation of Moshier's Cephes library, `atan`.

@@ -1,4 +1,4 @@
-// The extension module `manifold._compiled`; `manifold/_compiled.pyi` documents what it has.
+// The extension module `manifold.core._compiled`; `manifold/core/_compiled.pyi` documents what it has.
 
 #include "kernels.hpp"
 

@@ -187,7 +187,7 @@ def _make_materials(*_: object) -> None:
         "corpus corpus --rgb",
         "import corpus",
         "embed",
-        "explore --html extra/explorer.html",
+        "explore -o extra/explorer.html",
     ):
         subprocess.run([sys.executable, "-m", "manifold", *command.split()], cwd=WORK, check=True)
 

@@ -1,7 +1,6 @@
 """Measured figures of documents, from benchmarks/results/*.json: `2.6 / 9.8<!-- held_out_blend_2_ball -->`.
 
-The comment is not shown, on the site or on the repository's pages. `python docs/figures.py` writes all figures anew,
-and the list of results in docs/explanation/data.md, which says whether the code has changed since they were measured.
+The comment is not shown, on the site or on the repository's pages. `python docs/figures.py` writes all figures again.
 """
 
 from __future__ import annotations
@@ -9,16 +8,9 @@ from __future__ import annotations
 import json
 import math
 import re
-import sys
 from pathlib import Path
 
 RESULTS = Path(__file__).resolve().parents[1] / "benchmarks" / "results"
-sys.path.insert(0, str(RESULTS.parent))
-
-import evidence  # noqa: E402
-
-LIST = Path(__file__).resolve().parent / "explanation" / "data.md"
-_LISTED = re.compile(r"(?<=<!-- results -->\n\n).*?(?=\n\n<!-- end of results -->)", re.DOTALL)
 _ROUNDING = 1e-9  # smaller values are 0 but for the rounding of sums
 NAMED = re.compile(r"(-?[\d.,]+(?: / -?[\d.,]+)*)<!-- (\w+) -->")
 
@@ -59,20 +51,13 @@ def shown(value: str | float) -> str:
     return f"{value:.{decimals}f}"
 
 
-def with_list(text: str) -> str:
-    """Return a page with the list of results as it is now."""
-    return _LISTED.sub(lambda _: evidence.table(), text)
-
-
 def main() -> None:
-    """Write the figures of all documents anew."""
+    """Write the figures of all documents again."""
     held = figures()
     folder = Path(__file__).resolve().parent
     for document in (folder.parent / "README.md", *folder.rglob("*.md")):
         text = document.read_text(encoding="utf-8")
         renewed = NAMED.sub(lambda found: f"{held[found[2]]}<!-- {found[2]} -->", text)
-        if document == LIST:
-            renewed = with_list(renewed)
         if renewed != text:
             document.write_text(renewed, encoding="utf-8")
 

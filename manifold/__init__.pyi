@@ -1,12 +1,13 @@
-from . import analytic, colour, directions, dls, errors, gplvm, gpr, mapping, metrics
+from . import analytic, colour, dls, gplvm, gpr
 from .brdf.measured import MeasuredBRDF
+from .core import directions, errors, mapping, metrics
+from .core.records import Bands
 from .fit.principled import fit_bsdf
 from .io_rgl import read_bsdf, write_bsdf
 from .library.importing import import_files
 from .library.store import Library
 from .model.manifold import Manifold
 from .model.settings import Settings
-from .records import Bands
 from .render.ball import render_ball
 
 __version__: str

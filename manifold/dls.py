@@ -18,8 +18,8 @@ from typing import Any, Protocol
 import numpy as np
 import scipy
 
-from manifold.errors import ShapeError, UsageError
-from manifold.records import Array
+from manifold.core.errors import ShapeError, UsageError
+from manifold.core.records import Array
 
 CONVERGED, OUT_OF_EVALUATIONS, OUT_OF_SWEEPS, NOT_FINITE, STOPPED = 0, 1, 2, 3, 99
 _MESSAGES = {

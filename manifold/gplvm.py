@@ -17,8 +17,9 @@ from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, Transfo
 from sklearn.utils import check_array
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from manifold.core.errors import UsageError
+from manifold.core.records import Array
 from manifold.dls import STOPPED, FunctionObjective, MoveObjective, direct_local_search
-from manifold.errors import UsageError
 from manifold.gp.encoding import Encoder
 from manifold.gp.kernels import Kernel, kernel_named, require_mu
 from manifold.gp.likelihood import (
@@ -34,7 +35,6 @@ from manifold.gp.likelihood import (
     require_start,
 )
 from manifold.gpr import GaussianProcess
-from manifold.records import Array
 from manifold.registries import OPTIMIZERS
 
 FitCallback = Callable[[int, float], Any]

@@ -14,11 +14,11 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from manifold.errors import NumericalError
+from manifold.core.errors import NumericalError
+from manifold.core.names import first_few
+from manifold.core.records import Array, Indices, Mask
 from manifold.gp.kernels import Kernel, equal_rows, first_equal_row, squared_distances
 from manifold.gp.likelihood import centre_gram
-from manifold.names import first_few
-from manifold.records import Array, Indices, Mask
 
 _FIRST_JITTER = 1e-12
 _LAST_JITTER = 1e-2

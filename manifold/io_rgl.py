@@ -12,11 +12,11 @@ from types import MappingProxyType
 
 import numpy as np
 
-from manifold.errors import FileFormatError, UsageError
+from manifold.core.errors import FileFormatError, UsageError
+from manifold.core.names import printable
+from manifold.core.records import AnyArray, BsdfFile, Mask
 from manifold.formats.tensor_file import is_tensor_file, read_tensors, shape_text, write_tensors
 from manifold.formats.text import ErrorContext
-from manifold.names import printable
-from manifold.records import AnyArray, BsdfFile, Mask
 
 # What an RGL file must hold: dtype and axes per field; an axis is a number, or a letter that all fields share.
 _FIELDS: dict[str, tuple[str, tuple[str | int, ...] | None]] = {

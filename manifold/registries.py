@@ -14,8 +14,8 @@ from importlib import import_module
 from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar
 
-from manifold.errors import UnknownNameError
-from manifold.names import names_like, printable
+from manifold.core.errors import UnknownNameError
+from manifold.core.names import names_like, printable
 
 T = TypeVar("T")
 _ALL_NAMED = 16  # names up to which a message lists all
@@ -179,7 +179,7 @@ def _announces_entries(folder: str) -> bool:
 
 _FORMATS, _EXPORTS, _CONVERT = (
     "manifold.formats.",
-    "manifold.fit.exports.targets:",
+    "manifold.fit.exports.",
     "manifold.convert.targets:",
 )
 
@@ -187,6 +187,7 @@ FORMATS: Registry[Any] = Registry(
     "format",
     places={
         "spectrophotometer workbook (.xlsx)": _FORMATS + "ma_t12",
+        "MBSDF (.mbsdf)": _FORMATS + "mbsdf",
         "MERL": _FORMATS + "merl",
         "RT-300S workbook (.xls)": _FORMATS + "rt300s",
         "Ansys Speos text": _FORMATS + "speos",
@@ -222,7 +223,17 @@ EXPORT_SUFFIXES = {
 }
 TARGETS: Registry[Any] = Registry(
     "target",
-    places={name: _EXPORTS + name.upper().replace("-", "_") for name in EXPORT_SUFFIXES},
+    places={
+        "gltf": _EXPORTS + "glb:GLTF",
+        "openpbr": _EXPORTS + "materialx:OPENPBR",
+        "standard-surface": _EXPORTS + "materialx:STANDARD_SURFACE",
+        "usd": _EXPORTS + "usd:USD",
+        "usd-materialx": _EXPORTS + "usd:USD_MATERIALX",
+        "blender": _EXPORTS + "blender:BLENDER",
+        "blender-json": _EXPORTS + "blender:BLENDER_JSON",
+        "unreal": _EXPORTS + "unreal:UNREAL",
+        "unity": _EXPORTS + "unity:UNITY",
+    },
     group="brdf_manifold.targets",
     attributes=("name", "suffix", "title", "entries", "parameters", "brdf", "content"),
 )
@@ -232,6 +243,7 @@ CONVERTED_SUFFIXES = {
     "rgl": (".bsdf",),
     "merl": (".binary",),
     "utia": (".bin",),
+    "mbsdf": (".mbsdf",),
     "lighttools": (),
     "zemax": (),
     "fred": (),
@@ -257,16 +269,16 @@ OPTIMIZERS: Registry[Any] = Registry(
 MAPPINGS: Registry[Any] = Registry(
     "mapping",
     places={
-        "identity": "manifold.mapping:IDENTITY",
-        "cube-root": "manifold.mapping:CUBE_ROOT",
-        "log": "manifold.mapping:LOG",
-        "log-relative": "manifold.mapping:LOG_RELATIVE",
+        "identity": "manifold.core.mapping:IDENTITY",
+        "cube-root": "manifold.core.mapping:CUBE_ROOT",
+        "log": "manifold.core.mapping:LOG",
+        "log-relative": "manifold.core.mapping:LOG_RELATIVE",
     },
 )
 """Mappings of BRDF values, with their default parameters."""
 
 NAMED_GRIDS: Registry[Any] = Registry(
-    "grid", places={"default": "manifold.pairs:DEFAULT", "hikichi": "manifold.pairs:HIKICHI"}
+    "grid", places={"default": "manifold.core.pairs:DEFAULT", "hikichi": "manifold.core.pairs:HIKICHI"}
 )
 """Grids of direction pairs."""
 
@@ -302,8 +314,7 @@ INSTRUMENTS: Registry[Any] = Registry(
 EXAMPLES: Registry[Any] = Registry(
     "example",
     places={
-        name: f"manifold.evaluate.budget.example_scenes:{name.upper()}"
-        for name in ("felt", "paint", "chrome")
+        name: f"manifold.study.budget.example_scenes:{name.upper()}" for name in ("felt", "paint", "chrome")
     },
 )
 """Scenes of `manifold budget`."""

@@ -90,9 +90,9 @@ def quick_pictures(monkeypatch):
 @pytest.fixture
 def run(capsys, monkeypatch):
     """The command in this process, in a given folder: status, stdout, stderr."""
-    from manifold import work
     from manifold.cli import terminal
     from manifold.cli.main import run as run_main
+    from manifold.core import work
 
     # To import the package takes a process seconds: tests of several processes say how many.
     processes = work.processes
@@ -109,3 +109,14 @@ def run(capsys, monkeypatch):
         return caught.value.code or 0, captured.out, captured.err
 
     return call
+
+
+@pytest.fixture(scope="module")
+def short_search():
+    """A short search for few atoms, for reports and charts that do not look at how good they are."""
+    from manifold.model import reconstruction
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(reconstruction, "_CANDIDATES", 6)
+        patch.setattr(reconstruction, "_SWEEPS", 1)
+        yield

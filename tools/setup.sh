@@ -3,7 +3,7 @@
 #
 #   tools/setup.sh          what running the program needs, all extras included
 #   tools/setup.sh dev      what its tests and checks need as well
-#   tools/setup.sh engines  Blender's module and MaterialX's renderer, into .venv-engines; what `make engines` needs
+#   tools/setup.sh engines  Blender's module, MaterialX's renderer, and GLM for Adobe's OpenPBR; what `make engines` needs
 #
 # PYTHON names the interpreter (3.11 or newer); by default the first suitable one on the PATH.
 # g++ compiles the loops of cpp/, and libllvm19 lets Mitsuba run its fast variants: without it everything works, slower.
@@ -49,6 +49,8 @@ if [ "$extra" = engines ]; then # Blender's module is for one version of Python
     command -v xvfb-run >/dev/null 2>&1 ||
         apt_install xvfb libgl1 libgl1-mesa-dri libsm6 libxi6 libxfixes3 libxkbcommon0 libxxf86vm1 ||
         echo "setup: xvfb is missing and could not be installed; MaterialX's renderer needs an X server" >&2
+    [ -f /usr/include/glm/glm.hpp ] || apt_install libglm-dev ||
+        echo "setup: libglm-dev is missing and could not be installed; Adobe's OpenPBR needs it" >&2
     [ -x .venv-engines/bin/python ] || "${PYTHON:-python3.11}" -m venv .venv-engines
     .venv-engines/bin/python -m pip install --quiet --disable-pip-version-check --no-compile \
         "bpy==5.0.1" "materialx>=1.39.5,<1.40"

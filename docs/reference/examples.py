@@ -45,20 +45,20 @@ rgb = mf.Bands(None)
 bands = mf.Bands(range(400, 701, 10))
 bands.count
 
-# manifold.directions
+# manifold.core.directions
 mirror = mf.directions.from_spherical(0.5, 3.14159)
 half = mf.directions.half_vector(wi, mirror)
 theta_h, theta_d, phi_d, phi_h = mf.directions.to_rusinkiewicz(wi, wo)
 
-# manifold.mapping
+# manifold.core.mapping
 mapping = mf.mapping.CubeRoot()
 mapping.inverse(mapping.forward(brdf.eval(wi, wo)))
 
-# manifold.metrics
+# manifold.core.metrics
 f, f_star = brdf.eval(wi, wo), prediction.eval(wi, wo)
 mf.metrics.cube_root_error(f, f_star)
 
-# manifold.errors
+# manifold.core.errors
 try:
     mf.read_bsdf("missing.bsdf")
 except mf.errors.ManifoldError as error:
@@ -248,8 +248,8 @@ report = make_report(model)
 report.methods[0].title, report.methods[0].median.ball
 report.to_pandas().groupby("method")["ball"].median()
 
-# manifold.evaluate.make_chart
-from manifold.evaluate import make_chart
+# manifold.study.make_chart
+from manifold.study import make_chart
 
 chart = make_chart([library.read(name) for name in library.names], only=["nearest", "linear"], fitted=1)
 [(row.title, row.median.ball) for row in chart.rows]

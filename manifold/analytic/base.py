@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from manifold.brdf.notebook import NotebookPicture
-from manifold.directions import from_spherical, hemisphere_quadrature, require_directions
-from manifold.errors import ShapeError, UsageError
-from manifold.pairs import Pairs, flat_samples
-from manifold.records import Array, Bands
+from manifold.core.directions import from_spherical, hemisphere_quadrature, require_directions
+from manifold.core.errors import ShapeError, UsageError
+from manifold.core.pairs import Pairs, flat_samples
+from manifold.core.records import Array, Bands
 
 _ALBEDO_SAMPLES = 4096
 

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import progress
 from manifold.analytic.base import Sheen
 from manifold.analytic.diffuse import RoughDiffuse
 from manifold.analytic.ggx import GGX, GGXMixture
@@ -20,10 +19,11 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import find_rim
 from manifold.colour.conversion import file_to_srgb, luminance
 from manifold.colour.reflectances import diffuse_reflectance, metal_ior
-from manifold.directions import from_spherical
-from manifold.errors import UsageError
+from manifold.core import progress
+from manifold.core.directions import from_spherical
+from manifold.core.errors import UsageError
+from manifold.core.records import Array, Bands, BsdfFile, Indices
 from manifold.io_rgl import rgl_wavelengths_nm, write_bsdf
-from manifold.records import Array, Bands, BsdfFile, Indices
 
 Recipe = Callable[[Bands], BRDF]
 Lobes = Sequence[tuple[float, float]]

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from manifold.analytic.base import AnalyticBRDF, set_per_band
-from manifold.errors import UsageError
-from manifold.records import Array, Bands
+from manifold.core.errors import UsageError
+from manifold.core.records import Array, Bands
 
 _SINGLE = 0.5 - 2.0 / (3.0 * np.pi)
 _SINGLE_AVERAGE = 2.0 / 3.0 - 28.0 / (15.0 * np.pi)

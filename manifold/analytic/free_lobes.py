@@ -16,7 +16,7 @@ from math import comb
 import numpy as np
 
 from manifold.analytic.ggx import GGX, normal_distribution
-from manifold.records import Array, Indices
+from manifold.core.records import Array, Indices
 
 ROUGHNESSES = tuple((0.004 * 2.0 ** np.arange(8)).tolist())  # 14 of them, by factors of 1.5, gain nothing
 TAILS = (1.5, 2.0, 3.0)

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from manifold.compiled import loops
-from manifold.records import Array
-from manifold.threads import share_rows
+from manifold.core.compiled import loops
+from manifold.core.records import Array
+from manifold.core.threads import share_rows
 
 _FEW = 512  # cosines of a block: fewer take less time than starting a thread
 

@@ -20,11 +20,11 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from manifold.analytic.base import choose_lobe
-from manifold.compiled import loops
-from manifold.directions import gauss_legendre, half_vector, hemisphere_quadrature, normalize
-from manifold.errors import ShapeError, UsageError
-from manifold.records import Array, Indices
-from manifold.threads import share_rows
+from manifold.core.compiled import loops
+from manifold.core.directions import gauss_legendre, half_vector, hemisphere_quadrature, normalize
+from manifold.core.errors import ShapeError, UsageError
+from manifold.core.records import Array, Indices
+from manifold.core.threads import share_rows
 
 # Sizes of the table of directional albedo; with these it is within 5e-4 of the exact integral for
 # roughness 0.02 to 1 (tests/analytic/test_microfacet.py).

@@ -11,9 +11,9 @@ import numpy as np
 
 from manifold.analytic.base import AnalyticBRDF, choose_lobe, set_per_band
 from manifold.brdf.interface import BRDF
-from manifold.directions import hemisphere_quadrature
-from manifold.errors import UsageError
-from manifold.records import Array
+from manifold.core.directions import hemisphere_quadrature
+from manifold.core.errors import UsageError
+from manifold.core.records import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,9 +17,9 @@ import numpy as np
 from manifold.analytic.base import AnalyticBRDF, choose_lobe, cosine_hemisphere, set_per_band
 from manifold.analytic.fresnel import fresnel_conductor, fresnel_dielectric, fresnel_thin_film
 from manifold.analytic.ggx import GGX, AlbedoTable, GGXMixture, MixedAlbedo, facet_cosines
-from manifold.directions import gauss_legendre
-from manifold.errors import UsageError
-from manifold.records import Array, Bands
+from manifold.core.directions import gauss_legendre
+from manifold.core.errors import UsageError
+from manifold.core.records import Array, Bands
 
 
 class _RoughReflector(AnalyticBRDF):

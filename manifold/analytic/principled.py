@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from manifold.directions import normalize
-from manifold.records import Array, Indices
+from manifold.core.directions import normalize
+from manifold.core.records import Array, Indices
 
 DEFAULTS = {
     "metallic": 0.0, "roughness": 0.5, "specular": 0.5, "clearcoat": 0.0, "clearcoat_gloss": 0.0, "sheen": 0.0,

@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import disk
 from manifold.analytic.corpus import Material, isotropic_materials, write_files
 from manifold.brdf.interface import BRDF
-from manifold.directions import from_spherical
+from manifold.core import disk
+from manifold.core.directions import from_spherical
+from manifold.core.records import Array, Bands
 from manifold.formats import ma_t12
 from manifold.formats.readings import MA_T12_NAMES, Readings, geometry_ma_t12
-from manifold.records import Array, Bands
 from manifold.registries import INSTRUMENTS
 
 MA_T12_BANDS = Bands(tuple(float(nm) for nm in range(400, 701, 10)))

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manifold.brdf.interface import BRDF
-from manifold.directions import from_spherical
-from manifold.errors import ShapeError
-from manifold.extras import require
+from manifold.core.directions import from_spherical
+from manifold.core.errors import ShapeError
+from manifold.core.extras import require
 
 if TYPE_CHECKING:
     from xarray import DataArray

@@ -19,9 +19,9 @@ from manifold.brdf.unmeasured_cells import cells_of
 from manifold.colour.colour_science import frozen
 from manifold.colour.conversion import sensor_responses, xyz_to_srgb, xyz_weights
 from manifold.colour.illuminants import Illuminant
-from manifold.directions import HORIZON, from_spherical
-from manifold.names import counted, first_few, percent
-from manifold.records import Array, BsdfFile, Indices, Mask, evenly_spaced
+from manifold.core.directions import HORIZON, from_spherical
+from manifold.core.names import counted, first_few, percent
+from manifold.core.records import Array, BsdfFile, Indices, Mask, evenly_spaced
 
 # Limits, and in brackets what 20 measured files and the corpus reach.
 _STEEPEST_DEG = 75.0  # nearer to the horizon, files hold little that was measured

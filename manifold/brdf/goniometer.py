@@ -17,10 +17,10 @@ from manifold.brdf.interface import BRDF, require_brdf
 from manifold.brdf.unmeasured_cells import Cells, cells_of
 from manifold.brdf.warp import Warp, interpolate
 from manifold.colour.conversion import luminance as luminance_of
-from manifold.compiled import loops
-from manifold.directions import HORIZON, from_spherical, u_to_phi, u_to_theta
-from manifold.errors import UsageError
-from manifold.records import Array, BsdfFile, Mask
+from manifold.core.compiled import loops
+from manifold.core.directions import HORIZON, from_spherical, u_to_phi, u_to_theta
+from manifold.core.errors import UsageError
+from manifold.core.records import Array, BsdfFile, Mask
 
 Floats = NDArray[np.float32]  # precision of files
 

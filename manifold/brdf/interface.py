@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Protocol, runtime_checkable
 
-from manifold.errors import UsageError
-from manifold.records import Array, Bands
+from manifold.core.errors import UsageError
+from manifold.core.records import Array, Bands
 
 
 class EvaluableBRDF(Protocol):

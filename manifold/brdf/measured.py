@@ -11,12 +11,12 @@ import numpy as np
 from manifold.brdf.interface import EvaluableBRDF
 from manifold.brdf.notebook import NotebookPicture
 from manifold.brdf.warp import Warp
-from manifold.compiled import loops
-from manifold.directions import require_directions, rotate_z
-from manifold.errors import UsageError
-from manifold.pairs import Pairs, Symmetry, flat_samples
-from manifold.records import Array, BsdfFile
-from manifold.threads import share_rows
+from manifold.core.compiled import loops
+from manifold.core.directions import require_directions, rotate_z
+from manifold.core.errors import UsageError
+from manifold.core.pairs import Pairs, Symmetry, flat_samples
+from manifold.core.records import Array, BsdfFile
+from manifold.core.threads import share_rows
 
 _FEW = 512  # pairs of directions of a block: fewer take less time than starting a thread
 

@@ -13,7 +13,7 @@ from manifold.colour.conversion import encode_srgb, xyz_to_srgb
 if TYPE_CHECKING:
     from manifold.brdf.interface import BRDF, EvaluableBRDF
     from manifold.colour.ball_colours import Picture
-    from manifold.records import Array, Mask
+    from manifold.core.records import Array, Mask
 
 _PIXELS, _RINGS, _SPOKES = 64, 24, 16
 _BLOCK = 128  # pixels evaluated at once: 40,000 direction pairs

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from manifold.brdf.interface import EvaluableBRDF
-from manifold.directions import from_spherical, u_to_phi, u_to_theta
-from manifold.records import Array, BsdfFile
+from manifold.core.directions import from_spherical, u_to_phi, u_to_theta
+from manifold.core.records import Array, BsdfFile
 
 _LEAST_ANISOTROPY = 0.05  # anisotropy of second moments; weaves, whose two threads cross, are below 0.01
 _DIGITS = 1  # decimals of degrees

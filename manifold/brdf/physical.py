@@ -21,8 +21,8 @@ from manifold.brdf.plausibility import (
     plausibility,
 )
 from manifold.brdf.wrapper import WrappedBRDF
-from manifold.directions import HORIZON
-from manifold.records import Array, BsdfFile, Mask
+from manifold.core.directions import HORIZON
+from manifold.core.records import Array, BsdfFile, Mask
 
 RECIPROCITY_ERROR = 0.05
 """The most that a physical file has, and the most by which possible values of exchanged directions differ."""

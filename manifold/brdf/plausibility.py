@@ -10,15 +10,15 @@ import scipy
 
 from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.compiled import loops
-from manifold.directions import (
+from manifold.core.compiled import loops
+from manifold.core.directions import (
     from_spherical,
     gauss_legendre,
     hemisphere_quadrature,
     require_directions,
     rotate_z,
 )
-from manifold.records import Array, BsdfFile, Indices
+from manifold.core.records import Array, BsdfFile, Indices
 
 LAYOUT_INCIDENCES_DEG = (25.0, 40.0, 50.0, 65.0)
 ASSESSED_INCIDENCES_DEG = (30.0, 45.0, 60.0)

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.compiled import loops
-from manifold.pairs import Pairs, Symmetry
-from manifold.records import Array
+from manifold.core.compiled import loops
+from manifold.core.pairs import Pairs, Symmetry
+from manifold.core.records import Array
 
 
 class WeightedSum:

@@ -14,8 +14,8 @@ import numpy as np
 import scipy
 
 from manifold.brdf.warp import Warp
-from manifold.directions import HORIZON, from_spherical, u_to_phi, u_to_theta
-from manifold.records import Array, BsdfFile, Mask
+from manifold.core.directions import HORIZON, from_spherical, u_to_phi, u_to_theta
+from manifold.core.records import Array, BsdfFile, Mask
 
 
 @dataclass(frozen=True, eq=False)

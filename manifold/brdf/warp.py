@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from manifold.compiled import loops
-from manifold.records import Array
-from manifold.threads import share_rows
+from manifold.core.compiled import loops
+from manifold.core.records import Array
+from manifold.core.threads import share_rows
 
 _FEW = 4096  # points of a block: fewer take less time than starting a thread
 _DENSITY, _SAMPLE, _INVERT = range(3)  # modes of `map_points`

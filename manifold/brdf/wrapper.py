@@ -10,7 +10,7 @@ import numpy as np
 from manifold.brdf.interface import BRDF
 from manifold.brdf.notebook import NotebookPicture
 from manifold.brdf.plausibility import quadrature_albedo
-from manifold.records import Array, Bands
+from manifold.core.records import Array, Bands
 
 
 class WrappedBRDF(NotebookPicture, ABC):

@@ -16,9 +16,9 @@ import scipy
 from manifold.colour import lights
 from manifold.colour.conversion import srgb_to_xyz, to_xyz, xyz_to_srgb
 from manifold.colour.difference import delta_e_2000
-from manifold.directions import from_spherical, normalize, rotate_z
-from manifold.pairs import Pairs
-from manifold.records import Array, Bands, Indices
+from manifold.core.directions import from_spherical, normalize, rotate_z
+from manifold.core.pairs import Pairs
+from manifold.core.records import Array, Bands, Indices
 
 VIEW = normalize(np.array([0.0, -8.2, 2.3]))
 """The direction from the ball to the viewer."""

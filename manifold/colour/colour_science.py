@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from platformdirs import user_cache_path
 
-from manifold import disk
-from manifold.errors import UsageError
-from manifold.records import Array
+from manifold.core import disk
+from manifold.core.errors import UsageError
+from manifold.core.records import Array
 
 
 def cached(name: str, key: str, compute: Callable[[], Any]) -> Any:

@@ -10,8 +10,8 @@ import numpy as np
 
 from manifold.colour.colour_science import frozen, standard_tables, wide_observer
 from manifold.colour.illuminants import Illuminant
-from manifold.errors import ShapeError, UsageError
-from manifold.records import Array, Bands, BsdfFile
+from manifold.core.errors import ShapeError, UsageError
+from manifold.core.records import Array, Bands, BsdfFile
 
 SRGB_TO_XYZ = frozen(
     np.array(

@@ -14,14 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from manifold import __version__, disk
+from manifold import __version__
 from manifold.colour.colour_science import colour_science
 from manifold.colour.conversion import interpolation_matrix, to_srgb, to_xyz, xyz_weights
 from manifold.colour.difference import delta_e_2000_lab, to_lab
 from manifold.colour.narrow_bands import SPECTRUM, estimate_spectra, is_narrow
-from manifold.disk import read_json
-from manifold.errors import FileFormatError, UsageError
-from manifold.records import Array, Bands, Indices, Mask, plain
+from manifold.core import disk
+from manifold.core.disk import read_json
+from manifold.core.errors import FileFormatError, UsageError
+from manifold.core.records import Array, Bands, Indices, Mask, plain
 
 _DARK = 1e-3  # share of the largest value: errors of darker ones are relative to this
 _FORMAT = "manifold colour correction"

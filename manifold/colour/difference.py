@@ -14,11 +14,11 @@ from manifold.colour.colour_science import colour_science
 from manifold.colour.conversion import sensor_responses, srgb_to_xyz, to_xyz, xyz_weights
 from manifold.colour.illuminants import Illuminant, illuminant_power
 from manifold.colour.reflectances import srgb_spectra
-from manifold.directions import from_spherical
-from manifold.errors import ShapeError
+from manifold.core.directions import from_spherical
+from manifold.core.errors import ShapeError
+from manifold.core.metrics import spectral_angle
+from manifold.core.records import Array, Bands
 from manifold.formats.readings import DAYLIGHT, Viewing
-from manifold.metrics import spectral_angle
-from manifold.records import Array, Bands
 
 INCIDENCE_DEG = 45.0
 ASPECULAR_DEG = (-15.0, 15.0, 25.0, 45.0, 75.0, 110.0)

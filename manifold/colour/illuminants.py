@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from manifold.colour.colour_science import standard_tables
-from manifold.errors import FileFormatError, UnknownNameError
+from manifold.core.errors import FileFormatError, UnknownNameError
+from manifold.core.names import names_like
+from manifold.core.records import Array, Bands
 from manifold.formats.spectra import read_spectrum
-from manifold.names import names_like
-from manifold.records import Array, Bands
 
 _MOST_POWER = 1e30  # renders are in single precision
 

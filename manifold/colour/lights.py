@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from manifold.directions import from_spherical
-from manifold.errors import UsageError
-from manifold.records import Array
+from manifold.core.directions import from_spherical
+from manifold.core.errors import UsageError
+from manifold.core.records import Array
 from manifold.registries import Registry
 
 FLOOR_REFLECTANCE = 0.22

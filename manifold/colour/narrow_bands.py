@@ -19,8 +19,8 @@ from manifold.colour.colour_science import colour_science
 from manifold.colour.conversion import interpolation_matrix, to_xyz, xyz_to_srgb, xyz_weights
 from manifold.colour.difference import delta_e_2000, delta_e_2000_lab, lab_under_d65, lab_values
 from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
+from manifold.core.records import Array, Bands
 from manifold.formats.readings import DAYLIGHT, Readings, Viewing
-from manifold.records import Array, Bands
 
 SPECTRUM = Bands(tuple(np.arange(400.0, 701.0, 10.0).tolist()))
 """The bands that are estimated."""

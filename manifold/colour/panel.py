@@ -16,11 +16,11 @@ import scipy
 from manifold.colour import ball_colours, difference, lights
 from manifold.colour.ball_colours import Picture
 from manifold.colour.conversion import srgb_to_xyz
-from manifold.directions import rotate_z
-from manifold.judged_lights import JUDGED
-from manifold.metrics import Errors
-from manifold.pairs import Pairs
-from manifold.records import Array, Bands, Indices
+from manifold.core.directions import rotate_z
+from manifold.core.judged_lights import JUDGED
+from manifold.core.metrics import Errors
+from manifold.core.pairs import Pairs
+from manifold.core.records import Array, Bands, Indices
 
 FITTED = (
     "studio 60", "studio 180", "studio 300", "overcast", "sun 20", "sun 35", "sun 60", "sun 75", "sun 110",

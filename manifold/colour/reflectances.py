@@ -11,10 +11,10 @@ import numpy as np
 
 from manifold.colour.colour_science import colour_science, distribution, frozen
 from manifold.colour.conversion import decode_srgb, to_srgb
-from manifold.errors import FileFormatError, ShapeError, UnknownNameError, UsageError
+from manifold.core.errors import FileFormatError, ShapeError, UnknownNameError, UsageError
+from manifold.core.names import names_like
+from manifold.core.records import Array, Bands
 from manifold.formats.spectra import read_spectrum
-from manifold.names import names_like
-from manifold.records import Array, Bands
 
 _VISIBLE_NM = (400.0, 700.0)
 

@@ -12,7 +12,6 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from scipy.spatial import cKDTree
 
-from manifold import disk
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.correction import read_correction
 from manifold.convert.source import (
@@ -24,21 +23,22 @@ from manifold.convert.source import (
     with_estimated_spectra,
 )
 from manifold.convert.targets import Options, target_of
-from manifold.errors import UsageError
+from manifold.core import disk
+from manifold.core.errors import UsageError
+from manifold.core.metrics import Errors
+from manifold.core.names import percent
+from manifold.core.pairs import cosine_weight
+from manifold.core.records import Array, Bands, BsdfFile
+from manifold.core.results import Result, derived, entry
 from manifold.estimate import reports
 from manifold.estimate.predictions import predict
 from manifold.estimate.source_files import source_file
 from manifold.estimate.sources import FileSource, MaterialSource, PlaceSource
 from manifold.formats.readings import Readings
 from manifold.io_rgl import read_bsdf
-from manifold.metrics import Errors
 from manifold.model.diagnostics import DiagnosedPrediction
-from manifold.names import percent
-from manifold.pairs import cosine_weight
-from manifold.plots import html_page
-from manifold.records import Array, Bands, BsdfFile
+from manifold.pictures import html_page
 from manifold.registries import CONVERTED
-from manifold.results import Result, derived, entry
 
 _SAME_PAIR = 1e-6  # largest difference between unit vectors that were written with nine digits
 _DARK = 1e-3  # share of the brightest value, with which darker ones are compared

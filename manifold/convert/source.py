@@ -16,17 +16,17 @@ from manifold.colour.conversion import file_to_srgb, luminance, to_srgb
 from manifold.colour.correction import ColourCorrection
 from manifold.colour.narrow_bands import SPECTRUM, estimate_spectra, in_daylight, is_narrow, with_spectra
 from manifold.convert.tabulated import DenseBRDF, ReadingsBRDF
-from manifold.errors import UsageError
+from manifold.core.errors import UsageError
+from manifold.core.names import first_few
+from manifold.core.records import Array, Bands, BsdfFile, evenly_spaced
 from manifold.estimate.instruments import correct_colours
 from manifold.formats import registry
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import DAYLIGHT, Readings
+from manifold.formats.recognition import Kind, kind_of
 from manifold.io_rgl import read_bsdf
 from manifold.model.output_file import EXPECTED_ERROR
 from manifold.model.prediction import ClippedBRDF
-from manifold.names import first_few
-from manifold.recognition import Kind, kind_of
-from manifold.records import Array, Bands, BsdfFile, evenly_spaced
 
 MOST_NODES = 100_000
 """Nodes at which the error of a conversion is measured; an even choice where a file has more."""

@@ -8,7 +8,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import QhullError, cKDTree
 
 from manifold.analytic.base import AnalyticBRDF
-from manifold.directions import (
+from manifold.core.directions import (
     from_spherical,
     half_vector,
     hemisphere_quadrature,
@@ -16,10 +16,10 @@ from manifold.directions import (
     to_rusinkiewicz,
     to_spherical,
 )
-from manifold.errors import UsageError
+from manifold.core.errors import UsageError
+from manifold.core.records import Array
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
-from manifold.records import Array
 
 _LEAST_PER_INCIDENCE = 8  # directions that make a slice of a hemisphere
 _HORIZON_COSINE = 1e-3

@@ -11,15 +11,27 @@ import numpy as np
 from manifold import __version__
 from manifold.brdf import goniometer
 from manifold.convert.source import LEAST_COSINE, Source
-from manifold.directions import from_spherical, rotate_z
-from manifold.errors import UsageError
-from manifold.formats import astm, bird, csv_table, fred, lighttools, merl, openmaterial, speos, utia, zemax
+from manifold.core.directions import from_spherical, rotate_z
+from manifold.core.errors import UsageError
+from manifold.core.names import percent
+from manifold.core.pairs import LEVEL, RusinkiewiczGrid
+from manifold.core.records import Array
+from manifold.formats import (
+    astm,
+    bird,
+    csv_table,
+    fred,
+    lighttools,
+    mbsdf,
+    merl,
+    openmaterial,
+    speos,
+    utia,
+    zemax,
+)
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
 from manifold.io_rgl import write_bsdf
-from manifold.names import percent
-from manifold.pairs import LEVEL, RusinkiewiczGrid
-from manifold.records import Array
 from manifold.registries import CONVERTED, CONVERTED_IN_WORDS, CONVERTED_SUFFIXES
 
 _BLOCK = 65536  # pairs evaluated at once
@@ -98,21 +110,11 @@ def _write_rgl(path: Path, source: Source, options: Options) -> list[str]:
 
 
 def _write_merl(path: Path, source: Source, options: Options) -> list[str]:
-    brdf, notes = source.brdf, []
-    turns: Array = np.zeros(1)
-    if not brdf.is_isotropic:
-        turns = np.arange(float(_TURNS)) * (2.0 * np.pi / _TURNS)
-        notes.append(f"MERL is isotropic: {_TURNS} rotations of the sample are averaged")
+    turns, notes = _turns(source, "MERL")
     values = np.full((np.prod(merl.SHAPE), 3), np.nan)
     start = 0
     for wi, wo, above in RusinkiewiczGrid(*merl.SHAPE, squared_theta_h=True, offset=0.0).blocks(_BLOCK):
-        block = np.zeros((int(above.sum()), 3))
-        for turn in turns:
-            a, b = (rotate_z(w[above], turn) for w in (wi, wo))
-            # One node stands for both directions of the light; the one nearer to a measured incidence counts more.
-            share = _share(a, b, source)[:, None]
-            block += (share * _eval(source, a, b) + (1.0 - share) * _eval(source, b, a)) / turns.size
-        values[start : start + len(wi)][above] = block
+        values[start : start + len(wi)][above] = _reciprocal(source, wi[above], wo[above], turns)
         start += len(wi)
     negative = int(np.any(values < 0.0, axis=1).sum())
     if negative:
@@ -122,6 +124,42 @@ def _write_merl(path: Path, source: Source, options: Options) -> list[str]:
     )
     merl.write(path, table)
     return notes
+
+
+def _write_mbsdf(path: Path, source: Source, options: Options) -> list[str]:
+    turns, notes = _turns(source, "MBSDF")
+    axes = mbsdf.axes()
+    theta_i, _, theta_o, phi = axes
+    values = np.zeros((theta_i.size, 1, theta_o.size, phi.size, 3))
+    half, wo = phi.size // 2, from_spherical(theta_o[:, None], phi)
+    for i, theta in enumerate(theta_i):
+        pairs = np.broadcast_arrays(from_spherical(theta, 0.0), wo)
+        wi, wo_flat = (w.reshape(-1, 3) for w in pairs)
+        block = _reciprocal(source, wi, wo_flat, turns).reshape(wo.shape)
+        values[i, 0, :, :half] = 0.5 * (block[:, :half] + block[:, half:][:, ::-1])  # both sides of the plane
+    mbsdf.write(path, DenseTable(source.nodes.name, "MBSDF", "incident-outgoing", axes, None, values))
+    return notes
+
+
+def _turns(source: Source, title: str) -> tuple[Array, list[str]]:
+    """Return the rotations of the sample over which an isotropic format averages, in radians, and a note on them."""
+    if source.brdf.is_isotropic:
+        return np.zeros(1), []
+    note = f"{title} is isotropic: {_TURNS} rotations of the sample are averaged"
+    return np.arange(float(_TURNS)) * (2.0 * np.pi / _TURNS), [note]
+
+
+def _reciprocal(source: Source, wi: Array, wo: Array, turns: Array) -> Array:
+    """Return the mean over rotations, and over both directions of the light, for pairs (n, 3); shape (n, B).
+
+    Of the directions, the one nearer to a measured incidence counts more.
+    """
+    total = np.zeros((len(wi), source.brdf.bands.count))
+    for turn in turns:
+        a, b = (rotate_z(w, turn) for w in (wi, wo))
+        share = _share(a, b, source)[:, None]
+        total += (share * _eval(source, a, b) + (1.0 - share) * _eval(source, b, a)) / turns.size
+    return total
 
 
 def _share(a: Array, b: Array, source: Source) -> Array:
@@ -301,6 +339,7 @@ def _target(name: str, title: str, holds: Holds, write: Write, keeps: tuple[str,
 
 RGL = _target("rgl", "RGL file", "any", _write_rgl)
 MERL = _target("merl", "MERL", "RGB", _write_merl)
+MBSDF = _target("mbsdf", "MBSDF", "RGB", _write_mbsdf)
 UTIA = _target("utia", "UTIA", "RGB", _write_utia)
 LIGHTTOOLS = _target("lighttools", "LightTools BSDF text", "any", _write_lighttools)
 ZEMAX = _target("zemax", "Zemax BSDF text", "RGB or one", _write_zemax)

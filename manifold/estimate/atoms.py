@@ -13,20 +13,20 @@ from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
 from manifold.brdf.interface import BRDF, all_isotropic
 from manifold.colour import ball_colours, panel
-from manifold.errors import UsageError
+from manifold.core.errors import UsageError
+from manifold.core.mapping import CubeRoot, Identity
+from manifold.core.names import counted
+from manifold.core.pairs import Pairs
+from manifold.core.records import Array, Bands, Indices, Mask, evenly_spaced
 from manifold.estimate.gloss import gloss_meter
 from manifold.estimate.residual import coordinates
 from manifold.gp.encoding import encoding_pairs
 from manifold.library.store import Library
-from manifold.mapping import CubeRoot, Identity
 from manifold.model.combination import Combination, Dictionary
 from manifold.model.decoding import roots_at
 from manifold.model.materials import MaterialCache
 from manifold.model.prediction import PredictedBRDF
 from manifold.model.reconstruction import DICTIONARY
-from manifold.names import counted
-from manifold.pairs import Pairs
-from manifold.records import Array, Bands, Indices, Mask, evenly_spaced
 
 MOST_MATERIALS = 1000
 """The largest library whose materials are all left out once, each estimated from all others."""

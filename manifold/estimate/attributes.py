@@ -20,7 +20,6 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from manifold import progress
 from manifold.brdf.interface import BRDF, EvaluableBRDF
 from manifold.brdf.measured import MeasuredBRDF, values_at
 from manifold.brdf.unmeasured_cells import fill_unmeasured
@@ -30,20 +29,21 @@ from manifold.colour.conversion import luminance, srgb_to_xyz, to_xyz, xyz_weigh
 from manifold.colour.difference import delta_e_2000, delta_e_2000_lab, to_lab
 from manifold.colour.narrow_bands import with_spectra
 from manifold.colour.reflectances import srgb_spectra
-from manifold.directions import from_spherical, rotate_z
-from manifold.errors import UsageError
+from manifold.core import progress
+from manifold.core.directions import from_spherical, rotate_z
+from manifold.core.errors import UsageError
+from manifold.core.judged_lights import LIGHTS
+from manifold.core.pairs import Pairs
+from manifold.core.records import Array, Bands, plain
 from manifold.estimate.gloss import gloss_meter, gloss_units, half_gloss_meter
 from manifold.formats.readings import DAYLIGHT, GLOSS_ANGLES_DEG, Readings, gloss_fault
 from manifold.gp.encoding import Decoder
-from manifold.judged_lights import LIGHTS
 from manifold.library.store import Library
 from manifold.model.blend_space import require_blends
 from manifold.model.colours import NEAREST, ColourChoice
 from manifold.model.decoding import decoder_at
 from manifold.model.manifold import Manifold
 from manifold.model.places import Place, PlaceLike
-from manifold.pairs import Pairs
-from manifold.records import Array, Bands, plain
 
 _METER_WEIGHT = (
     1e3  # weight of squared errors of logarithms of attributes, against squared distance in length scales

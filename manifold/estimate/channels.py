@@ -13,12 +13,12 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.conversion import interpolation_matrix, xyz_to_srgb, xyz_weights
 from manifold.colour.illuminants import Illuminant
 from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
-from manifold.directions import from_spherical
-from manifold.errors import BandMismatchError, FileFormatError
+from manifold.core.directions import from_spherical
+from manifold.core.errors import BandMismatchError, FileFormatError
+from manifold.core.records import Array, Bands
 from manifold.formats.readings import DAYLIGHT, Readings
 from manifold.formats.spectra import read_spectrum
 from manifold.library.store import Library
-from manifold.records import Array, Bands
 
 _NOISE = 0.02  # standard deviation of channels, relative to their mean
 _UNLIKE = 0.1  # standard deviation of how a material's matrix from channels to bands differs from the prior's

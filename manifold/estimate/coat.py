@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from manifold import __version__, disk
+from manifold import __version__
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
 from manifold.brdf.interface import BRDF
@@ -26,7 +26,12 @@ from manifold.brdf.wrapper import WrappedBRDF
 from manifold.colour import panel
 from manifold.colour.conversion import luminance
 from manifold.colour.difference import delta_e_2000_lab
-from manifold.errors import FileFormatError, UsageError
+from manifold.core import disk
+from manifold.core.errors import FileFormatError, UsageError
+from manifold.core.metrics import EXPECTED_BALL, Errors
+from manifold.core.progress import Stages
+from manifold.core.records import Array, Bands
+from manifold.core.results import Result, derived, entry
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.attributes import (
     COLOUR_TOLERANCE,
@@ -49,11 +54,7 @@ from manifold.formats.column_heads import gloss_angle
 from manifold.formats.readings import DAYLIGHT, Viewing, gloss_fault
 from manifold.formats.text import CORRECT_CELL, data_lines, decode, list_rows, number, with_whole_name
 from manifold.library.store import Library
-from manifold.metrics import EXPECTED_BALL, Errors
 from manifold.model.output_file import COMPLETION_OPTIONS, OutputOptions, require_bsdf_output, write_checked
-from manifold.progress import Stages
-from manifold.records import Array, Bands
-from manifold.results import Result, derived, entry
 
 _INDEX = 1.5  # refractive index of most varnishes and plastics
 _INDEX_SPREAD = 0.3  # its standard deviation, which lets gloss of several angles decide

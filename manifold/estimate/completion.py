@@ -12,6 +12,7 @@ from manifold.brdf.interface import BRDF
 from manifold.colour import panel
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000_lab, lab_values
+from manifold.core.records import Array, Bands, Mask
 from manifold.estimate.atoms import LibraryAtoms, ball_coordinates, grid_coordinates, shown_shares
 from manifold.estimate.channels import Channels
 from manifold.estimate.evidence import Evidence, bands_of, beyond, in_all_bands
@@ -33,7 +34,6 @@ from manifold.estimate.solving import (
     solve_pictures,
 )
 from manifold.formats.readings import DAYLIGHT, Readings, Viewing
-from manifold.records import Array, Bands, Mask
 
 _SHOWN_ALTERNATIVES = 5
 _NEAR_MIRROR_DEG = 5.0  # from a mirror direction, where readings measure all but the sharpest highlights

@@ -16,8 +16,14 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility
 from manifold.colour.correction import ColourCorrection
 from manifold.colour.difference import lab_under_d65
-from manifold.directions import from_spherical
-from manifold.errors import UsageError
+from manifold.core.directions import from_spherical
+from manifold.core.errors import UsageError
+from manifold.core.judged_lights import BALL
+from manifold.core.metrics import EXPECTED_COLUMNS, Errors
+from manifold.core.names import counted, percent
+from manifold.core.progress import Stages
+from manifold.core.records import Array
+from manifold.core.results import Result, derived, entry
 from manifold.estimate import instruments
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.channels import Channels
@@ -31,16 +37,10 @@ from manifold.estimate.solving import CONTRADICTION, Seen
 from manifold.estimate.suggestions import Suggested, directions_left, suggest
 from manifold.formats.readings import Between, Readings, Viewing, gloss_fault
 from manifold.formats.text import number
-from manifold.judged_lights import BALL
 from manifold.library.store import Library
-from manifold.metrics import EXPECTED_COLUMNS, Errors
 from manifold.model import diagnostics
 from manifold.model.output_file import COMPLETION_OPTIONS, OutputOptions, require_bsdf_output, write_checked
 from manifold.model.prediction import ClippedBRDF
-from manifold.names import counted, percent
-from manifold.progress import Stages
-from manifold.records import Array
-from manifold.results import Result, derived, entry
 
 if TYPE_CHECKING:
     from manifold.model.location import Located

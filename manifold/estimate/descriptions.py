@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, TypeVar
 from manifold import __version__
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import fill_unmeasured
+from manifold.core.progress import Stages
+from manifold.core.records import BsdfFile
 from manifold.estimate.source_files import read_source
 from manifold.estimate.sources import FileSource, MaterialSource
 from manifold.library.store import Library
@@ -27,8 +29,6 @@ from manifold.model.output_file import (
     write_output,
 )
 from manifold.model.prediction import ClippedBRDF
-from manifold.progress import Stages
-from manifold.records import BsdfFile
 
 if TYPE_CHECKING:
     from manifold.estimate.completions import Completed

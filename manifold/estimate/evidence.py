@@ -10,16 +10,16 @@ import numpy as np
 
 from manifold.colour.conversion import luminance
 from manifold.colour.narrow_bands import with_spectra
-from manifold.errors import BandMismatchError, UsageError
+from manifold.core.errors import BandMismatchError, UsageError
+from manifold.core.names import counted
+from manifold.core.pairs import cosine_weight
+from manifold.core.records import Array, Bands, Indices, Mask
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.gloss import value_of_unit
 from manifold.estimate.mixtures import NOISE
 from manifold.estimate.pixel_mixtures import INDEPENDENT, MODEL_ERROR
 from manifold.formats.readings import MOST_GLOSS, Readings
 from manifold.model.estimator import Observation
-from manifold.names import counted
-from manifold.pairs import cosine_weight
-from manifold.records import Array, Bands, Indices, Mask
 
 _READING = (MODEL_ERROR / NOISE) ** 2 / INDEPENDENT  # weight of a reading, of that of a picture
 _CHANNELS_NM = (610.0, 550.0, 465.0)  # bands that stand for the channels of left-out materials

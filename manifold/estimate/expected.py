@@ -13,14 +13,14 @@ from scipy.optimize import nnls
 from manifold import __version__
 from manifold.colour import panel
 from manifold.colour.conversion import srgb_to_xyz
+from manifold.core.metrics import Errors
+from manifold.core.records import Array, evenly_spaced
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.completion import NOISY, Completion
 from manifold.estimate.evidence import Evidence, channel_atoms, clipping
 from manifold.formats.readings import Readings
 from manifold.library.store import Library
-from manifold.metrics import Errors
 from manifold.model.expected_error import BELOW_TWICE
-from manifold.records import Array, evenly_spaced
 
 _KINDS = ("ball", "cube_root", "linear", "near_mirror", "elsewhere")  # of which some may be unknown
 _NEAR_MIRROR_DEG = 10.0  # from the mirror direction

@@ -18,10 +18,10 @@ from manifold.brdf.interface import EvaluableBRDF
 from manifold.brdf.measured import values_at
 from manifold.colour.ball_colours import Picture, sums_of_runs
 from manifold.colour.conversion import luminance
-from manifold.directions import from_spherical, normalize
-from manifold.errors import UsageError
+from manifold.core.directions import from_spherical, normalize
+from manifold.core.errors import UsageError
+from manifold.core.records import Array
 from manifold.formats.readings import GLOSS_ANGLES_DEG
-from manifold.records import Array
 
 RECEPTORS_DEG = {20: (1.8, 3.6), 60: (4.4, 11.7), 85: (4.0, 6.0)}  # widths in plane, and across it
 SOURCE_DEG = (0.75, 2.5)

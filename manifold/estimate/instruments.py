@@ -18,21 +18,21 @@ from scipy.interpolate import LinearNDInterpolator
 from scipy.optimize import brentq
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
-from manifold import disk, progress
 from manifold.colour.correction import ColourCorrection, learn_correction, read_correction, write_correction
 from manifold.colour.difference import delta_e_2000_lab, lab_values
 from manifold.colour.narrow_bands import in_daylight
-from manifold.directions import to_rusinkiewicz
-from manifold.errors import BandMismatchError, UsageError
+from manifold.core import disk, progress
+from manifold.core.directions import to_rusinkiewicz
+from manifold.core.errors import BandMismatchError, UsageError
+from manifold.core.names import counted, first_few
+from manifold.core.records import Array
+from manifold.core.results import Result, derived, entry
 from manifold.estimate.inputs import Sample
 from manifold.formats import registry
 from manifold.formats.readings import Between, Readings
+from manifold.formats.recognition import is_readings
 from manifold.library.identity import alike
 from manifold.library.importing import find_files
-from manifold.names import counted, first_few
-from manifold.recognition import is_readings
-from manifold.records import Array
-from manifold.results import Result, derived, entry
 
 _ENOUGH_SAMPLES = 6  # samples for a colour correction; see docs/explanation/completion.md
 _ASK_FOR_PAIRS = "do both files of each pair read one sample?"

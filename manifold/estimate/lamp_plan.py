@@ -14,8 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from manifold import progress
 from manifold.colour.difference import delta_e_2000_lab, lab_values
+from manifold.core import progress
+from manifold.core.records import Array, Bands, evenly_spaced
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.evidence import Evidence, channel_atoms
 from manifold.estimate.expected import errors_of_weights
@@ -26,7 +27,6 @@ from manifold.estimate.solving import estimate
 from manifold.formats.readings import aspecular_pair
 from manifold.library.store import Library
 from manifold.model.estimator import Observation
-from manifold.records import Array, Bands, evenly_spaced
 
 ANGLES_DEG = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0, 90.0, 110.0, 130.0)
 """Between lamp and camera, seen from the ball, that are tried."""

@@ -14,16 +14,16 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import label, map_coordinates
 
-from manifold import disk
 from manifold.brdf.interface import BRDF
 from manifold.colour.lights import directions
-from manifold.directions import normalize
-from manifold.errors import FileFormatError, UsageError
+from manifold.core import disk
+from manifold.core.directions import normalize
+from manifold.core.errors import FileFormatError, UsageError
+from manifold.core.names import first_few
+from manifold.core.records import Array
 from manifold.estimate.outlines import Circle, Photograph
 from manifold.estimate.pixels import Blocks, Camera, frames, sampled_surface
 from manifold.formats.text import data_lines, decode, list_rows, number, with_whole_name
-from manifold.names import first_few
-from manifold.records import Array
 
 LEAST_DISTANCE = 1.2
 """The least distance of a lamp from the middle of a ball, in its radii."""

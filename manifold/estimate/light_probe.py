@@ -14,11 +14,11 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from manifold.colour.conversion import encode_srgb
-from manifold.errors import UsageError
+from manifold.core.errors import UsageError
+from manifold.core.names import percent
+from manifold.core.records import Array, Indices, Mask, evenly_spaced
 from manifold.estimate.lamps import Lamp
 from manifold.estimate.outlines import Circle, Outline, Photograph, outlines_in
-from manifold.names import percent
-from manifold.records import Array, Indices, Mask, evenly_spaced
 
 _SIDES = (24, 48)  # pixels across a ball that are compared, to choose a start and to refine it
 _RIM = 0.95  # share of the radius that is compared

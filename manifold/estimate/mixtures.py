@@ -15,11 +15,11 @@ from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
 
 from manifold.colour.conversion import luminance
-from manifold.directions import from_spherical
+from manifold.core.directions import from_spherical
+from manifold.core.records import Array, Bands, Indices, Mask
 from manifold.estimate.gloss import gloss_differences, value_of_unit
 from manifold.estimate.residual import cells, coordinates, covariance
 from manifold.gp.nonnegative import nonnegative_weights
-from manifold.records import Array, Bands, Indices, Mask
 
 SHARES = (0.5, 0.2, 0.8)  # shares of the first atom of two; one alone has 1
 _MOST_PAIRS = 40_000  # pairs of atoms of two materials; of larger libraries as many at random

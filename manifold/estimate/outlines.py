@@ -12,10 +12,10 @@ from scipy.ndimage import gaussian_filter, map_coordinates, zoom
 from scipy.optimize import minimize
 
 from manifold.colour.conversion import encode_srgb
-from manifold.colour.pictures import read_picture
-from manifold.errors import FileFormatError, UsageError
-from manifold.names import percent
-from manifold.records import Array, Mask
+from manifold.colour.picture_files import read_picture
+from manifold.core.errors import FileFormatError, UsageError
+from manifold.core.names import percent
+from manifold.core.records import Array, Mask
 
 _LEAST_SIZE = 16
 _LEAST_RADIUS = 8.0  # pixels

@@ -10,14 +10,14 @@ import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.conversion import encode_srgb, to_srgb
-from manifold.errors import UsageError
+from manifold.core.errors import UsageError
+from manifold.core.records import Array
 from manifold.estimate.completion import Completion
 from manifold.estimate.lamps import lamp_picture
 from manifold.estimate.outlines import Circle
 from manifold.estimate.sightings import PhotoRequest, SeenBall
 from manifold.io_rgl import read_bsdf
-from manifold.plots import figures
-from manifold.records import Array
+from manifold.pictures import figures
 from manifold.render import images
 from manifold.render.render import render_floating_ball
 

@@ -10,11 +10,11 @@ import numpy as np
 from manifold.colour.conversion import to_srgb
 from manifold.colour.narrow_bands import in_daylight
 from manifold.colour.reflectances import spectral_changes, weights_at
-from manifold.errors import FileFormatError
+from manifold.core.errors import FileFormatError
+from manifold.core.records import Array
 from manifold.estimate.residual import coordinates
 from manifold.formats.readings import Readings
 from manifold.formats.workbook_pictures import picture_directions, picture_geometry, picture_values
-from manifold.records import Array
 
 _SAME_PLACE = 0.1  # largest distance in correlation lengths: 1 degree
 _MOST_FACTOR = 1.5  # largest factor between a picture's mean and the colour of its reading

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from manifold.core.records import Array, Indices, Mask
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.mixtures import LAMBERTIAN_SPREAD, Hypotheses, Mixtures, atom_pairs, products
 from manifold.model.estimator import LEAST, Observation
-from manifold.records import Array, Indices, Mask
 
 GRID_STRIDE = 7
 """One in this many directions of the encoding grid is enough to compare mixtures."""

@@ -18,11 +18,11 @@ from functools import cached_property
 import numpy as np
 
 from manifold.colour import lights
-from manifold.directions import from_spherical, normalize, rotate_z
-from manifold.errors import UsageError
+from manifold.core.directions import from_spherical, normalize, rotate_z
+from manifold.core.errors import UsageError
+from manifold.core.names import percent
+from manifold.core.records import Array, Indices, Mask
 from manifold.estimate.outlines import Circle, Cylinder, Photograph, reduced
-from manifold.names import percent
-from manifold.records import Array, Indices, Mask
 
 _ROWS, _PARTS = 64, 8  # rows of cells, twice as many columns; parts of a cell along a side
 _MOST_BLOCKS, _MOST_IN_ALL = 400, 4000  # blocks of a picture, and of all together

@@ -12,13 +12,13 @@ import numpy as np
 from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.notebook import ball_image, sun_image
-from manifold.directions import angles_from_mirror
+from manifold.core.directions import angles_from_mirror
+from manifold.core.records import Array, evenly_spaced
 from manifold.estimate.gloss import gloss_units
 from manifold.formats.readings import GLOSS_ANGLES_DEG, Readings
 from manifold.io_rgl import read_bsdf
-from manifold.plots import html_page
-from manifold.plots.html_page import Section
-from manifold.records import Array, evenly_spaced
+from manifold.pictures import html_page
+from manifold.pictures.html_page import Section
 from manifold.render import backend, images
 from manifold.render.ball import render_material
 from manifold.render.render import RenderSettings
@@ -196,7 +196,7 @@ def _colour_figure(angles: Array, read: Array, found: Array) -> Figure | None:
     common = [i for i in np.unique(incidences[in_plane]) if np.sum(in_plane & (incidences == i)) > 1]
     if not common:
         return None
-    from manifold.plots.figures import new_figure  # Matplotlib, which takes as long to load as all else
+    from manifold.pictures.figures import new_figure  # Matplotlib, which takes as long to load as all else
 
     figure = new_figure(8.5, 2.7)
     axes = figure.subplots(1, 3)
@@ -219,7 +219,7 @@ def _colour_figure(angles: Array, read: Array, found: Array) -> Figure | None:
 
 def _spectra_figure(readings: Readings, found: Array, angles: Array) -> Figure:
     """Draw reflectance factors of readings and completion (P, B), in 1/sr, at some geometries, evenly chosen."""
-    from manifold.plots.figures import new_figure
+    from manifold.pictures.figures import new_figure
 
     figure = new_figure(8.5, 3.0)
     axes = figure.subplots()

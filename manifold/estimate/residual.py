@@ -13,8 +13,8 @@ import numpy as np
 
 from manifold.brdf.interface import BRDF
 from manifold.brdf.wrapper import WrappedBRDF
-from manifold.directions import half_vector
-from manifold.records import Array, Indices
+from manifold.core.directions import half_vector
+from manifold.core.records import Array, Indices
 
 NOISE = 0.3
 """Variance of a reading's own part of the residual, over that of the part that neighbours share."""

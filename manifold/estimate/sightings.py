@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 
 from manifold.colour.lights import ENVIRONMENTS, environment
-from manifold.colour.pictures import read_picture
-from manifold.errors import UsageError
+from manifold.colour.picture_files import read_picture
+from manifold.core.errors import UsageError
+from manifold.core.names import percent
+from manifold.core.records import Array, Mask
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.lamps import (
     LEAST_DISTANCE,
@@ -44,8 +46,6 @@ from manifold.estimate.pixels import (
     direction_pairs,
 )
 from manifold.model.estimator import Observation
-from manifold.names import percent
-from manifold.records import Array, Mask
 
 _BRIGHT = 0.9  # share of a light's largest value; most pixels above it are clipped where the camera clipped
 _LEAST_COSINE = 0.05  # least cosine of a grey card's angle to its lamp

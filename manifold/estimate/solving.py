@@ -14,7 +14,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from manifold.errors import UsageError
+from manifold.core.errors import UsageError
+from manifold.core.pairs import cosine_weight
+from manifold.core.records import Array, Mask
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.channels import Channels
 from manifold.estimate.evidence import Evidence, for_library, rows_of_gloss, rows_of_readings, usable_readings
@@ -24,8 +26,6 @@ from manifold.estimate.residual import ResidualFactors, coordinates, residual_fa
 from manifold.estimate.sightings import Sighting, unlit
 from manifold.formats.readings import Readings
 from manifold.model.estimator import LEAST, Observation, explain
-from manifold.pairs import cosine_weight
-from manifold.records import Array, Mask
 
 Seen = Sighting | Readings | Mapping[float, float]
 """An observation of a material: a picture, readings, or gloss units by angle in degrees."""

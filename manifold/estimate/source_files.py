@@ -10,10 +10,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from manifold.core.records import BsdfFile
 from manifold.estimate.sources import FileSource, MaterialSource, PlaceSource, read_measured
 from manifold.formats.tensor_file import is_compressed
 from manifold.io_rgl import read_bsdf, write_bsdf
-from manifold.records import BsdfFile
 
 
 def read_source(source: MaterialSource) -> BsdfFile:

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from manifold.errors import ManifoldError, MissingFileError, UnknownNameError
+from manifold.core.errors import ManifoldError, MissingFileError, UnknownNameError
+from manifold.core.names import names_like
+from manifold.core.records import BsdfFile
 from manifold.io_rgl import material_name, read_bsdf
 from manifold.model.colours import NEAREST, ColourChoice
 from manifold.model.places import Place, PlaceLike, is_place
-from manifold.names import names_like
-from manifold.records import BsdfFile
 
 if TYPE_CHECKING:
     from manifold.model.manifold import Manifold

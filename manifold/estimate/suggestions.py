@@ -10,8 +10,9 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from manifold.colour import panel
-from manifold.directions import angles_from_mirror, from_spherical
-from manifold.errors import UsageError
+from manifold.core.directions import angles_from_mirror, from_spherical
+from manifold.core.errors import UsageError
+from manifold.core.records import Array, Indices, Mask
 from manifold.estimate.atoms import LibraryAtoms, ball_coordinates
 from manifold.estimate.completion import Completion
 from manifold.estimate.mixtures import material_prior
@@ -19,7 +20,6 @@ from manifold.estimate.residual import NOISE, coordinates, covariance
 from manifold.formats.light_side import LEAST_HIDDEN
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.library.store import Library
-from manifold.records import Array, Indices, Mask
 from manifold.registries import Registry
 
 _BALL = 3.0  # weight of the ball against all directions

@@ -1,4 +1,4 @@
-"""Held-out errors: the report, the chart of speed against accuracy, failure modes, budgets for scenes."""
+"""Left-out errors of methods: cross-validation, baselines, the report."""
 
 import lazy_loader
 

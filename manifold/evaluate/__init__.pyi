@@ -1,9 +1,7 @@
-from .chart import make_chart
 from .report import make_report
 from .selection import embed
 
 __all__ = [
     "embed",
-    "make_chart",
     "make_report",
 ]

@@ -6,13 +6,13 @@ from collections.abc import Callable
 
 import numpy as np
 
+from manifold.core.mapping import Identity, ValueMapping
+from manifold.core.pairs import Pairs
+from manifold.core.records import Array, Indices
 from manifold.evaluate.cross_validation import Encode, Fit
 from manifold.evaluate.method_data import Data
-from manifold.mapping import Identity, ValueMapping
 from manifold.model.combination import Combination
 from manifold.model.reconstruction import DICTIONARY, MAX_BANDS, ComparedValues
-from manifold.pairs import Pairs
-from manifold.records import Array, Indices
 from manifold.registries import MAPPINGS
 
 _IDENTITY = MAPPINGS["identity"]

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from manifold.errors import ShapeError
+from manifold.core.errors import ShapeError
+from manifold.core.records import Indices
+from manifold.core.threads import one_blas_thread
 from manifold.evaluate.method_data import Data
 from manifold.evaluate.storage_forms import WHOLE, Storage
 from manifold.model.combination import Combination
-from manifold.records import Indices
-from manifold.threads import one_blas_thread
 
 Encode = Callable[[int], Combination]
 """A function from the index of a material to its prediction."""

@@ -16,12 +16,12 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility, plausibilities
 from manifold.colour import panel
 from manifold.colour.difference import colour_differences, illuminants_for, multi_angle_pairs
+from manifold.core.metrics import Errors, RunningErrors
+from manifold.core.pairs import Pairs
+from manifold.core.records import Array, Indices, plain
 from manifold.evaluate.method_data import Data
 from manifold.library.store import Library
-from manifold.metrics import Errors, RunningErrors
 from manifold.model.combination import Combination, Values, evaluate
-from manifold.pairs import Pairs
-from manifold.records import Array, Indices, plain
 
 _HIGHEST_COSINE = float(np.cos(np.deg2rad(80.0)))  # nearer to the horizon values grow as 1 / cos
 

@@ -12,22 +12,22 @@ from typing import Any
 
 import numpy as np
 
-from manifold import metrics
 from manifold.brdf.interface import all_isotropic
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import fill_unmeasured
+from manifold.core import metrics
+from manifold.core.metrics import Errors
+from manifold.core.pairs import Pairs, RusinkiewiczGrid
+from manifold.core.records import Array, BsdfFile, evenly_spaced
 from manifold.evaluate import storage_forms
 from manifold.evaluate.cross_validation import Fit, Method, cross_validate, leave_out
 from manifold.evaluate.errors import MethodErrors
 from manifold.evaluate.method_data import MAX_BANDS, Data, band_shares
 from manifold.evaluate.stopwatch import RelativeTime, Stopwatch, some_pairs
 from manifold.evaluate.storage_forms import Storage
-from manifold.metrics import Errors
 from manifold.model.combination import Combination, Values, evaluate
 from manifold.model.materials import MaterialTable
 from manifold.model.prediction import PredictedBRDF
-from manifold.pairs import Pairs, RusinkiewiczGrid
-from manifold.records import Array, BsdfFile, evenly_spaced
 
 FOLDS = 10
 _TIMED, _REPEATS = 3, 5

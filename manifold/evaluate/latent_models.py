@@ -8,18 +8,18 @@ from functools import cached_property
 import numpy as np
 
 from manifold.brdf.interface import all_isotropic
+from manifold.core.mapping import CubeRoot, ValueMapping
+from manifold.core.records import Array, Indices
 from manifold.evaluate.cross_validation import Encode, Fit
 from manifold.evaluate.method_data import Data
 from manifold.gp.encoding import Decoder, Encoder
 from manifold.gplvm import GPLVM
 from manifold.gpr import GaussianProcess
-from manifold.mapping import CubeRoot, ValueMapping
 from manifold.model.blend_fitting import BlendTables
 from manifold.model.blend_space import PlaceSearch
 from manifold.model.combination import Combination
 from manifold.model.decoding import appearance_pairs, appearance_weight, roots_at
 from manifold.model.settings import Settings
-from manifold.records import Array, Indices
 from manifold.registries import MAPPINGS
 
 SAMPLE_BANDS = Settings().sample_bands

@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from manifold import progress
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.core import progress
+from manifold.core.mapping import ValueMapping
+from manifold.core.metrics import relative_error
+from manifold.core.pairs import RusinkiewiczGrid
+from manifold.core.records import Array, Indices, evenly_spaced
 from manifold.gp.encoding import PAIR_STRIDE
-from manifold.mapping import ValueMapping
-from manifold.metrics import relative_error
 from manifold.model import fitting
 from manifold.model.combination import Values
-from manifold.pairs import RusinkiewiczGrid
-from manifold.records import Array, Indices, evenly_spaced
 
 MAX_BANDS = 20  # bands that methods learn from, evenly spaced: about every tenth of 195
 _BLOCK_VALUES = 10_000_000  # measured values held at once, of all materials together

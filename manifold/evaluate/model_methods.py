@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from manifold.core.records import Indices
 from manifold.evaluate.baselines import fit_pca
 from manifold.evaluate.cross_validation import Encode, Fit, Method
 from manifold.evaluate.latent_models import LatentProcess, fit_settings
@@ -13,7 +14,6 @@ from manifold.gpr import GaussianProcess
 from manifold.model.combination import Combination
 from manifold.model.manifold import Manifold
 from manifold.model.materials import MaterialTable
-from manifold.records import Indices
 
 
 def model_methods(model: Manifold) -> list[Method]:

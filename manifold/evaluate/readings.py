@@ -9,9 +9,13 @@ from typing import Any
 import numpy as np
 from scipy.linalg import qr
 
-from manifold import __version__, progress
+from manifold import __version__
 from manifold.colour import panel
-from manifold.errors import UsageError
+from manifold.core import progress
+from manifold.core.errors import UsageError
+from manifold.core.metrics import Errors
+from manifold.core.pairs import cosine_weight
+from manifold.core.records import Array, Indices, plain
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.completion import Completion
 from manifold.estimate.evidence import Evidence
@@ -23,9 +27,6 @@ from manifold.fit.fit_samples import FitSamples
 from manifold.fit.principled import fit_bsdf
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.library.store import Library
-from manifold.metrics import Errors
-from manifold.pairs import cosine_weight
-from manifold.records import Array, Indices, plain
 from manifold.registries import Registry
 
 _RIDGE = 1e-3  # share of the mean variance: of 0.01, 0.001 and 0.0001 the best on the ball

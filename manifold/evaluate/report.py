@@ -12,10 +12,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from manifold import __version__, progress, work
+from manifold import __version__
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility
-from manifold.errors import ManifoldError, UsageError
+from manifold.core import progress, work
+from manifold.core.errors import ManifoldError, UsageError
+from manifold.core.extras import require
+from manifold.core.metrics import Errors
+from manifold.core.names import counted
+from manifold.core.pairs import RusinkiewiczGrid
+from manifold.core.records import Array, Indices, evenly_spaced, plain
 from manifold.evaluate.cross_validation import (
     Encoded,
     Method,
@@ -37,18 +43,13 @@ from manifold.evaluate.method_data import MAX_BANDS, Data, band_shares, block_pa
 from manifold.evaluate.methods import baseline_methods, gplvm_methods, standard_methods
 from manifold.evaluate.model_methods import model_methods, replaced_keys
 from manifold.evaluate.seen_fits import seen_principled
-from manifold.extras import require
 from manifold.gpr import IsolatedLatentsWarning
 from manifold.library.store import Library
-from manifold.metrics import Errors
 from manifold.model import fitting
 from manifold.model.combination import Values
 from manifold.model.expected_error import Reliability
 from manifold.model.manifold import Manifold
 from manifold.model.materials import MaterialTable
-from manifold.names import counted
-from manifold.pairs import RusinkiewiczGrid
-from manifold.records import Array, Indices, evenly_spaced, plain
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -135,7 +136,8 @@ class Report:
     def to_pandas(self) -> DataFrame:
         """Return the errors as a data frame of pandas: a row per method and material.
 
-        Columns are `method`, `title`, `is_held_out`, `material`, and errors by kind, see `manifold.metrics.Errors`.
+        Columns are `method`, `title`, `is_held_out`, `material`, and the errors of
+        `manifold.core.metrics.Errors`.
 
         Raises:
             MissingPackageError: pandas is not installed.
@@ -181,7 +183,7 @@ def make_report(
         ManifoldError: a worker was lost.
     """
     if picture is not None:
-        from manifold.plots import figures, map_figure
+        from manifold.pictures import figures, map_figure
 
         figures.require_writable(picture)
     file = model if isinstance(model, Path) else None

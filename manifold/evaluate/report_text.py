@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from manifold.core.judged_lights import BALL, JUDGED, LIGHTS
+from manifold.core.names import counted, percent
+from manifold.core.text_tables import table_lines
 from manifold.evaluate.report import MethodResult, Report
-from manifold.judged_lights import BALL, JUDGED, LIGHTS
 from manifold.model.expected_error import LEVEL, NOT_CALIBRATED
-from manifold.names import counted, percent
-from manifold.text_tables import table_lines
 
 _WIDTH = 80
 _SHOWN_COORDINATES = 2  # coordinates of a latent, so that a row fits 80 columns

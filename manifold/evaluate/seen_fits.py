@@ -9,17 +9,17 @@ from functools import partial
 import numpy as np
 
 from manifold.brdf.interface import EvaluableBRDF
+from manifold.core.mapping import Identity
+from manifold.core.metrics import Errors
+from manifold.core.pairs import Pairs
+from manifold.core.records import Array, BsdfFile, Indices, evenly_spaced
 from manifold.evaluate.cross_validation import Encode, Method
 from manifold.evaluate.held_out import ChartRow, HeldOut
 from manifold.evaluate.method_data import Data
 from manifold.evaluate.stopwatch import RelativeTime
 from manifold.fit import principled
 from manifold.fit.principled import FitResult, fit_bsdf
-from manifold.mapping import Identity
-from manifold.metrics import Errors
 from manifold.model.combination import Combination, Values
-from manifold.pairs import Pairs
-from manifold.records import Array, BsdfFile, Indices, evenly_spaced
 from manifold.render import backend
 from manifold.render.bsdf_evaluation import evaluator
 

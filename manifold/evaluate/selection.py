@@ -15,10 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from manifold import disk, progress, work
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import fill_unmeasured
-from manifold.errors import ManifoldError, UsageError
+from manifold.core import disk, progress, work
+from manifold.core.errors import ManifoldError, UsageError
+from manifold.core.names import counted
+from manifold.core.pairs import RusinkiewiczGrid
+from manifold.core.records import evenly_spaced
 from manifold.evaluate.cross_validation import cross_validate, leave_out, wall_clock
 from manifold.evaluate.errors import MethodErrors, measure_errors
 from manifold.evaluate.latent_models import fit_settings
@@ -27,9 +30,6 @@ from manifold.library.store import Library
 from manifold.model.manifold import Manifold
 from manifold.model.materials import MaterialTable, names_without
 from manifold.model.settings import Settings
-from manifold.names import counted
-from manifold.pairs import RusinkiewiczGrid
-from manifold.records import evenly_spaced
 from manifold.registries import MAPPINGS
 
 GRID = RusinkiewiczGrid(24, 12, 8)  # a fifth of the pairs of the default grid

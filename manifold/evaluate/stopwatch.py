@@ -13,9 +13,9 @@ from threadpoolctl import threadpool_limits
 
 from manifold.analytic import corpus
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.pairs import Pairs, RusinkiewiczGrid
-from manifold.records import Array
-from manifold.threads import limit_threads
+from manifold.core.pairs import Pairs, RusinkiewiczGrid
+from manifold.core.records import Array
+from manifold.core.threads import limit_threads
 
 REFERENCE = "syn_satin_gold"
 REFERENCE_PAIRS = 8192

@@ -9,9 +9,9 @@ import numpy as np
 
 from manifold.colour.conversion import interpolation_matrix
 from manifold.colour.illuminants import illuminant_power
-from manifold.evaluate.budget import reduced_file
+from manifold.core.records import Array, Bands, BsdfFile
 from manifold.library.compacting import encode
-from manifold.records import Array, Bands, BsdfFile
+from manifold.study.budget import reduced_file
 
 _FLOAT_BYTES = 4
 

@@ -15,11 +15,11 @@ from scipy.spatial import cKDTree
 from manifold.analytic.principled import LUMINANCE
 from manifold.colour.conversion import to_xyz
 from manifold.colour.difference import to_lab
-from manifold.directions import to_rusinkiewicz
+from manifold.core.directions import to_rusinkiewicz
+from manifold.core.pairs import RusinkiewiczGrid
+from manifold.core.records import Array, Mask
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.gauss_newton import Minimum, Residuals
-from manifold.pairs import RusinkiewiczGrid
-from manifold.records import Array, Mask
 from manifold.render.bsdf_evaluation import evaluator
 from manifold.render.bsdf_parameters import BsdfFamily, Layout
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -10,17 +10,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from manifold import disk
-from manifold.batch import Batch, Command, Content, Outcome
 from manifold.brdf.interface import BRDF, EvaluableBRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.notebook import ball_image, sun_image
 from manifold.brdf.orientation import aligned
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour.difference import VISIBLE
-from manifold.errors import UsageError
+from manifold.core import disk
+from manifold.core.errors import UsageError
+from manifold.core.judged_lights import BALL, BALL_COLUMN, LIGHTS
+from manifold.core.metrics import Errors
+from manifold.core.progress import Stages
+from manifold.core.records import BsdfFile
 from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource
-from manifold.fit import comparison, fit_samples, fits
+from manifold.fit import fit_samples, fits
 from manifold.fit.exports.direct import at_bounds, fit_target
 from manifold.fit.exports.document import Export, TextureFiles
 from manifold.fit.exports.principled_values import Principled
@@ -28,20 +31,18 @@ from manifold.fit.exports.targets import Target, TargetBRDF, target_of
 from manifold.fit.fit_metrics import ball_errors, missed_highlight
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.principled import fit_bsdf
+from manifold.formats.recognition import FIT_SUFFIX, is_fit, is_library, is_rgl
 from manifold.io_rgl import material_name, read_bsdf
-from manifold.judged_lights import BALL, BALL_COLUMN, LIGHTS
 from manifold.library.identity import file_sha256
 from manifold.library.store import Library
-from manifold.metrics import Errors
+from manifold.many.batch import Batch, Command, Content, Outcome
 from manifold.model.colours import ColourChoice
 from manifold.model.diagnostics import predict_and_diagnose
 from manifold.model.manifold import load_model
 from manifold.model.places import PlaceLike
-from manifold.plots import figures, html_page
-from manifold.plots.slice_figures import Source
-from manifold.progress import Stages
-from manifold.recognition import FIT_SUFFIX, is_fit, is_library, is_rgl
-from manifold.records import BsdfFile
+from manifold.pictures import figures, html_page
+from manifold.pictures import fit_comparison as comparison
+from manifold.pictures.slice_figures import Source
 from manifold.registries import TARGETS
 from manifold.render import fit_json, images
 from manifold.render.fitted_brdf import FittedBRDF
@@ -171,8 +172,8 @@ def export(
     `against` applies to sources, see `subject_of_source`.
 
     The target's own model is fitted to the material, from the parameters of `principled` on. Both are drawn to
-    `picture`, and balls of both in two lights to `balls`. `textures` writes textures for the parameters that were
-    found; None is one material everywhere.
+    `picture`, and balls of both in two lights to `balls`, by the worst implementation if there are several. `textures`
+    writes textures for the parameters that were found; None is one material everywhere.
     """
     target = target if isinstance(target, Target) else target_of(target, path)
     disk.require_writable(path)
@@ -192,29 +193,36 @@ def export(
     parameters = fit_target(target, start, subject.samples)
     other = None if target.beside is None else TARGETS[target.beside]
     beside = None if other is None else fit_target(other, other.parameters(principled), subject.samples)
-    model = TargetBRDF(target, parameters)
+    models = {name: TargetBRDF(target, parameters, name) for name in target.implementations or [None]}
+    errors = {name: ball_errors(model, material) for name, model in models.items()}
+    worst = max(errors, key=lambda name: errors[name].ball)
+    model = models[worst]
     made = Export(
         name=subject.name,
         target=target.name,
         parameters=parameters,
         source=subject.source,
-        errors=ball_errors(model, material),
+        errors=errors[worst],
         principled_errors=subject.principled_errors,
         against=subject.against,
         beside=beside,
         textures=None if textures is None else textures(parameters),
+        implementations={name: each for name, each in errors.items() if name is not None},
+        colour_space=target.colour_space,
+        caveat=target.caveat,
     )
     disk.write_bytes(path, target.content(made))
     if picture is not None:
-        sources = [Source(subject.against, material), Source(f"exported: {target.name}", model)]
+        drawn = f"exported: {target.name}" + (f", {worst}" if worst else "")
+        sources = [Source(subject.against, material), Source(drawn, model)]
         comparison.picture_of_brdfs(subject.name, sources, picture)
     if balls is not None:
         _write_balls(balls, material, model)
-    notes = (*subject.notes, *(f"principled: {note}" for note in subject.fit["notes"]))
+    notes = (*subject.notes, *([target.caveat] if target.caveat else []))
     if made.errors.ball > VISIBLE:
-        worst = f"{made.errors.worst:.1f} in {made.errors.worst_light}"
+        light = f"{made.errors.worst:.1f} in {made.errors.worst_light}"
         away = f"{made.errors.ball:.1f} {BALL} from the {subject.against}"
-        notes = (f"not a close fit: {away}, above {VISIBLE:g}; {worst}", *notes)
+        notes = (f"not a close fit: {away}, above {VISIBLE:g}; {light}", *notes)
         if (missed := missed_highlight(model, material)) is not None:
             notes = (missed, *notes)
     if ends := at_bounds(target, parameters):
@@ -246,6 +254,7 @@ def exports(target: Target, *, with_pictures: bool = False, is_pack: bool = Fals
     """
     columns: dict[str, Callable[[Content], Any]] = {
         BALL_COLUMN: lambda content: content["errors"]["ball"],
+        **{f"in {name}": partial(_ball_in, name) for name in target.implementations},
         "of principled": lambda content: (content["principled_errors"] or {}).get("ball"),
         "in the worst light": lambda content: content["errors"]["worst"],
         "worst light": lambda content: content["errors"]["worst_light"],
@@ -255,6 +264,63 @@ def exports(target: Target, *, with_pictures: bool = False, is_pack: bool = Fals
     conclude = partial(_write_index, target) if is_pack else None
     beside = partial(_pictures_of, target=target, with_pictures=with_pictures, is_pack=is_pack)
     return Command("exports", make, how, target.suffix, columns=columns, beside=beside, conclude=conclude)
+
+
+def _ball_in(implementation: str, content: Content) -> float:
+    ball: float = content["implementations"][implementation]["ball"]
+    return ball
+
+
+def exports_of_many(targets: Sequence[Target]) -> Command[ExportSource]:
+    """Return the command that fits every material of `export_sources` once, and writes it for several targets."""
+    columns: dict[str, Callable[[Content], Any]] = {
+        f"{BALL_COLUMN}, {target.name}": partial(_ball_of, target.name) for target in targets
+    }
+    make, beside = partial(_export_many, targets=targets), partial(_files_beside, targets=targets)
+    how = {"targets": [target.name for target in targets]}
+    suffix = paths_for(Path(), "", targets)[0].name
+    return Command("exports", make, how, suffix, columns=columns, beside=beside)
+
+
+def _ball_of(target: str, content: Content) -> float:
+    ball: float = content["targets"][target]["errors"]["ball"]
+    return ball
+
+
+def paths_for(folder: Path, name: str, targets: Sequence[Target]) -> list[Path]:
+    """Return the files of a material for several targets, which are named in those that share a suffix."""
+    suffixes = [target.suffix for target in targets]
+    marks = [f"_{target.name}" if suffixes.count(target.suffix) > 1 else "" for target in targets]
+    return [folder / f"{name}{mark}{suffix}" for mark, suffix in zip(marks, suffixes, strict=True)]
+
+
+def _files_beside(path: Path, content: Content, *, targets: Sequence[Target]) -> list[Path]:
+    """Return the files of all but the first target."""
+    name = path.name.removesuffix(paths_for(Path(), "", targets)[0].name)
+    return paths_for(path.parent, name, targets)[1:]
+
+
+def _export_many(source: ExportSource, path: Path, *, targets: Sequence[Target]) -> Content:
+    made = _write_all(source.read(), targets, [path, *_files_beside(path, {}, targets=targets)])
+    return {"targets": {target.name: one.content for target, one in zip(targets, made, strict=True)}}
+
+
+def _write_all(subject: Subject, targets: Sequence[Target], paths: Sequence[Path]) -> list[Outcome[Subject]]:
+    return [export(subject, target, path) for target, path in zip(targets, paths, strict=True)]
+
+
+def export_many(
+    material: MaterialSource, targets: Sequence[Target], folder: Path, name: str, *, against: Path | None = None
+) -> list[Outcome[Subject]]:  # fmt: skip
+    """Fit a material once, and write it for several targets into a folder, which is made if missing.
+
+    `against` is as in `subject_of_source`.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = paths_for(folder, name, targets)
+    for path in paths:
+        disk.require_writable(path)
+    return _write_all(subject_of_source(material, against), targets, paths)
 
 
 def _pictures_of(

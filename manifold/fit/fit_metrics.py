@@ -12,11 +12,11 @@ from manifold.colour import panel
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000
 from manifold.colour.panel import Panel
-from manifold.directions import half_vector
-from manifold.errors import UsageError
+from manifold.core.directions import half_vector
+from manifold.core.errors import UsageError
+from manifold.core.metrics import Errors
+from manifold.core.records import Array
 from manifold.fit.fit_samples import FitSamples
-from manifold.metrics import Errors
-from manifold.records import Array
 
 METRICS = ("appearance", "cube-root", "linear", "log")
 _KNEE = 1e-3  # share of the mean value: below, roots and logarithms turn linear, so that 0 has a finite slope

@@ -12,11 +12,11 @@ from manifold.colour import panel
 from manifold.colour.conversion import to_srgb
 from manifold.colour.narrow_bands import with_spectra
 from manifold.colour.panel import Panel
-from manifold.directions import require_directions, rotate_z
-from manifold.errors import ShapeError, UsageError
+from manifold.core.directions import require_directions, rotate_z
+from manifold.core.errors import ShapeError, UsageError
+from manifold.core.pairs import RusinkiewiczGrid
+from manifold.core.records import Array, Bands, Indices
 from manifold.formats.readings import Readings
-from manifold.pairs import RusinkiewiczGrid
-from manifold.records import Array, Bands, Indices
 
 MIN_PAIRS = 4
 MAX_PAIRS = 2048

@@ -10,11 +10,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from manifold import disk
-from manifold.batch import PREDICTED, Command, Content, Outcome, appearance
 from manifold.brdf.interface import BRDF
 from manifold.colour.narrow_bands import with_spectra
-from manifold.errors import ManifoldError, UsageError
+from manifold.core import disk
+from manifold.core.errors import ManifoldError, UsageError
+from manifold.core.judged_lights import BALL_COLUMN
+from manifold.core.names import printable
+from manifold.core.progress import Stages
+from manifold.core.records import BsdfFile, plain
+from manifold.core.results import placed
 from manifold.estimate.inputs import Input
 from manifold.estimate.source_files import read_source, source_file
 from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource, PlaceSource
@@ -22,24 +26,20 @@ from manifold.fit import fit_samples
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.principled import FitResult, fit_bsdf
 from manifold.formats import registry
+from manifold.formats.recognition import FIT_SUFFIX, is_rgl
 from manifold.io_rgl import read_bsdf
-from manifold.judged_lights import BALL_COLUMN
 from manifold.library.identity import file_sha256, require_material_name
 from manifold.library.store import Library
+from manifold.many.batch import PREDICTED, Command, Content, Outcome, appearance
 from manifold.model import diagnostics
 from manifold.model.diagnostics import DiagnosedPrediction
 from manifold.model.manifold import load_model
-from manifold.names import printable
-from manifold.progress import Stages
-from manifold.recognition import FIT_SUFFIX, is_rgl
-from manifold.records import BsdfFile, plain
 from manifold.registries import FITTERS
 from manifold.render import fit_json
 from manifold.render.bsdf_evaluation import bsdf_dict
 from manifold.render.bsdf_parameters import BsdfFamily, default_principled, diffuse
 from manifold.render.fit_json import Source
 from manifold.render.fitted_brdf import FittedBRDF
-from manifold.results import placed
 
 Measured = FileSource | LibrarySource
 """A file, or a material of a library."""
@@ -178,7 +178,7 @@ def _fit_input(source: Input, target: Path, *, settings: FitSettings, with_pictu
     picture = target.with_suffix(".png")
     drawn: dict[str, str] = {}
     if with_pictures:
-        from manifold.fit.comparison import picture_of_fit
+        from manifold.pictures.fit_comparison import picture_of_fit
 
         with source_file(source.source) as file:
             if is_rgl(file):

@@ -10,12 +10,12 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import qmc
 
-from manifold import progress
-from manifold.errors import NumericalError
+from manifold.core import progress
+from manifold.core.errors import NumericalError
+from manifold.core.progress import Stages
+from manifold.core.records import Array, Indices, Mask
 from manifold.fit.fit_metrics import Criterion
 from manifold.fit.fit_samples import FitSamples
-from manifold.progress import Stages
-from manifold.records import Array, Indices, Mask
 from manifold.render.bsdf_evaluation import evaluator
 from manifold.render.bsdf_parameters import BsdfFamily, Layout
 

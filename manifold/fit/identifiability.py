@@ -9,8 +9,8 @@ import numpy as np
 from scipy.optimize import lsq_linear
 from scipy.stats import chi2
 
+from manifold.core.records import Array, Mask
 from manifold.fit.gauss_newton import GaussNewton, Minimum, Residuals, minimize
-from manifold.records import Array, Mask
 from manifold.render.bsdf_parameters import FreeParameter, Layout
 
 DETERMINED = "determined"

@@ -15,23 +15,23 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.orientation import rotation_of, rotation_of_brdf
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour.difference import VISIBLE
-from manifold.errors import UsageError
+from manifold.core.errors import UsageError
+from manifold.core.judged_lights import BALL, BALL_COLUMN
+from manifold.core.metrics import Errors
+from manifold.core.names import percent
+from manifold.core.records import Array, Bands, BsdfFile
+from manifold.core.results import Result, entry
 from manifold.fit import adam_and_swarm, fit_metrics, fit_samples, gauss_newton, identifiability
 from manifold.fit.adam_and_swarm import AdamOptions, SwarmOptions
 from manifold.fit.fit_metrics import Criterion, ball_errors
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.gauss_newton import GaussNewton, Minimum, Residuals
 from manifold.fit.identifiability import ParameterIdentifiability, TriedDefaults
-from manifold.judged_lights import BALL, BALL_COLUMN
-from manifold.metrics import Errors
-from manifold.names import percent
-from manifold.records import Array, Bands, BsdfFile
 from manifold.registries import FITTERS
 from manifold.render import backend
 from manifold.render.bsdf_evaluation import require_independent_bands, variant
 from manifold.render.bsdf_parameters import BsdfFamily, default_principled, diffuse
 from manifold.render.fitted_brdf import FittedBRDF
-from manifold.results import Result, entry
 
 _POOR_FIT = (
     0.12  # relative residual: beyond it balls of measured materials look wrong, docs/explanation/fits.md

@@ -12,8 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from manifold import disk
-from manifold.errors import ShapeError
+from manifold.core import disk
+from manifold.core.errors import ShapeError
+from manifold.core.names import in_one_line
+from manifold.core.records import Array
 from manifold.formats.column_heads import (
     angle_names,
     angle_unit,
@@ -46,8 +48,6 @@ from manifold.formats.values import (
     relative_uncertainties,
     weights_of,
 )
-from manifold.names import in_one_line
-from manifold.records import Array
 
 _REMEDY = "export the table again"
 _PADDING_FROM = np.deg2rad(75.0)  # a Mini-Diff sees no further; beyond, its files ramp to zero

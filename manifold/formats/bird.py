@@ -18,13 +18,14 @@ from typing import Any
 
 import numpy as np
 
-from manifold import __version__, disk
+from manifold import __version__
+from manifold.core import disk
+from manifold.core.names import in_one_line
+from manifold.core.records import Array
 from manifold.formats.geometries import by_band, directions
 from manifold.formats.readings import GONIOMETER, Readings
 from manifold.formats.text import ErrorContext, angle_unit, decode, nanometres, read_bytes
 from manifold.formats.values import weights_of
-from manifold.names import in_one_line
-from manifold.records import Array
 
 _REMEDY = "export the file again"
 _LARGEST = 200_000_000  # bytes

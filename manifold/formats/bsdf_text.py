@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from manifold.core.records import Array, Indices
 from manifold.formats.quantities import BRDF, quantity_in_prose
 from manifold.formats.text import (
     ErrorContext,
@@ -19,7 +20,6 @@ from manifold.formats.text import (
     read_lines,
     wavelength_nm,
 )
-from manifold.records import Array, Indices
 
 _MOST_ANGLES = 20_000
 _MOST_VALUES = 50_000_000

@@ -16,9 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from manifold import disk
-from manifold.directions import to_spherical
-from manifold.errors import FileFormatError
+from manifold.core import disk
+from manifold.core.directions import to_spherical
+from manifold.core.errors import FileFormatError
+from manifold.core.names import in_one_line
+from manifold.core.records import Array
 from manifold.formats.column_heads import gloss_angle, plain_head, viewing
 from manifold.formats.foreign import resembles_json
 from manifold.formats.quantities import BRDF
@@ -35,8 +37,6 @@ from manifold.formats.tables import (
     resembles_header,
 )
 from manifold.formats.text import CORRECT_CELL, ErrorContext, decode, number, read_bytes, split_cells
-from manifold.names import in_one_line
-from manifold.records import Array
 
 _REMEDY = "correct the table"
 _SEPARATORS = (";", "\t", ",", None)  # None: blanks

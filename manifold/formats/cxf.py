@@ -19,11 +19,11 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from manifold.core.records import Array
 from manifold.formats.geometries import geometry_directions
 from manifold.formats.readings import Readings, aspecular_pair, mean_of_repeats
 from manifold.formats.text import ErrorContext, decode, read_bytes
 from manifold.formats.values import looks_like_percent
-from manifold.records import Array
 
 _REMEDY = "export CxF3 with multi-angle reflectance again"
 _LARGEST = 12_000_000  # bytes

@@ -9,9 +9,9 @@ from typing import Literal
 
 import numpy as np
 
-from manifold.directions import from_rusinkiewicz, from_spherical
+from manifold.core.directions import from_rusinkiewicz, from_spherical
+from manifold.core.records import Array, Bands, Indices, Mask
 from manifold.formats.readings import GONIOMETER, Readings
-from manifold.records import Array, Bands, Indices, Mask
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import disk
+from manifold.core import disk
 from manifold.formats.dense import DenseTable
 from manifold.formats.geometries import directions
 from manifold.formats.readings import GONIOMETER, Readings

@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from manifold.directions import from_spherical
+from manifold.core.directions import from_spherical
+from manifold.core.records import Array, Indices, Mask
 from manifold.formats.column_heads import PHASE, RELATIVE
 from manifold.formats.readings import aspecular_pair
 from manifold.formats.text import ErrorContext
-from manifold.records import Array, Indices, Mask
 
 _ROUNDING = 0.01  # radians
 _PHASE_ROUNDING = np.deg2rad(1.0)  # of angles in whole degrees

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from manifold.core.records import Array, Mask
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
-from manifold.records import Array, Mask
 
 _LEAST_PAIRS = 50  # fewer are a spectrophotometer's, whose geometries have names
 _NEAR = np.cos(np.deg2rad(12.0))

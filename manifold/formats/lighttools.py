@@ -12,8 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import disk
-from manifold.directions import from_spherical
+from manifold.core import disk
+from manifold.core.directions import from_spherical
+from manifold.core.names import in_one_line
+from manifold.core.records import Array
 from manifold.formats.bsdf_text import (
     Block,
     BsdfText,
@@ -27,8 +29,6 @@ from manifold.formats.light_side import hidden
 from manifold.formats.readings import GONIOMETER, Readings
 from manifold.formats.text import decode
 from manifold.formats.values import converted, linear_srgb_to_xyz, unnamed_band
-from manifold.names import in_one_line
-from manifold.records import Array
 
 _PADDING_FROM = 75.0  # degrees, of a Mini-Diff
 _USUAL_AZIMUTH = (

@@ -19,8 +19,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from manifold import disk
-from manifold.errors import FileFormatError
+from manifold.core import disk
+from manifold.core.errors import FileFormatError
 from manifold.formats.column_heads import lab_head, viewing_in
 from manifold.formats.foreign import name_archive
 from manifold.formats.readings import DAYLIGHT, MA_T12_NAMES, Readings, Viewing

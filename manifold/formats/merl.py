@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import disk
+from manifold.core import disk
+from manifold.core.records import Array
 from manifold.formats.dense import DenseTable
 from manifold.formats.text import ErrorContext, read_bytes
-from manifold.records import Array
 
 SHAPE = (90, 90, 180)
 SCALES = np.array([1.0, 1.15, 1.66]) / 1500.0

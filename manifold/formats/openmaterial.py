@@ -16,14 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from manifold import disk
+from manifold.core import disk
+from manifold.core.names import in_one_line
+from manifold.core.records import Array
 from manifold.formats.column_heads import RELATIVE
 from manifold.formats.dense import DenseTable
 from manifold.formats.geometries import by_band, directions, exceed_radians
 from manifold.formats.readings import GONIOMETER, Readings
 from manifold.formats.text import ErrorContext, decode, read_bytes
-from manifold.names import in_one_line
-from manifold.records import Array
 
 _REMEDY = "export the look-up table again"
 _LARGEST = 60_000_000  # bytes: more than a million rows as this module writes them

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.directions import from_spherical
+from manifold.core.directions import from_spherical
+from manifold.core.records import Array
 from manifold.formats.quantities import quantity_in_prose
 from manifold.formats.readings import GONIOMETER, Readings
 from manifold.formats.text import (
@@ -26,7 +27,6 @@ from manifold.formats.text import (
     wavelength_nm,
 )
 from manifold.formats.values import as_brdf, converted, unnamed_band
-from manifold.records import Array
 
 _REMEDY = "export the measurement again"
 _ANGLE = re.compile(rf"{NUMBER}\s*(?:[^\W\d]+|[°º])?")

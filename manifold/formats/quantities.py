@@ -16,8 +16,8 @@ from typing import Literal
 
 import numpy as np
 
+from manifold.core.records import Array
 from manifold.formats.text import ErrorContext
-from manifold.records import Array
 
 _LEAST_COSINE = 1e-3  # nearer to the horizon a value over its cosine says nothing
 

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from manifold.directions import from_spherical, require_directions
-from manifold.errors import ShapeError, UsageError
-from manifold.records import Array, Bands, Indices, Mask
+from manifold.core.directions import from_spherical, require_directions
+from manifold.core.errors import ShapeError, UsageError
+from manifold.core.records import Array, Bands, Indices, Mask
 
 # Anchor leg and aspecular angle in degrees, in the instrument's order.
 _MA_T12 = (

@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from manifold.errors import FileFormatError, ManifoldError, UnknownNameError, UsageError
+from manifold.core.errors import FileFormatError, ManifoldError, UnknownNameError, UsageError
+from manifold.core.names import first_few, names_like, printable
 from manifold.formats.dense import DenseTable
 from manifold.formats.foreign import name_format
 from manifold.formats.light_side import with_light_side_note, without_hidden
@@ -21,7 +22,6 @@ from manifold.formats.tables import HEADERS
 from manifold.formats.tensor_file import holds_tensors
 from manifold.formats.text import read_bytes
 from manifold.formats.values import LONGEST_NM, SHORTEST_NM
-from manifold.names import first_few, names_like, printable
 from manifold.registries import FORMATS
 
 Record = Readings | DenseTable

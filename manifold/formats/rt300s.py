@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.directions import from_spherical
-from manifold.extras import require
+from manifold.core.directions import from_spherical
+from manifold.core.extras import require
+from manifold.core.records import Array
 from manifold.formats.readings import GONIOMETER, Readings, mean_of_repeats
 from manifold.formats.text import ErrorContext, read_bytes
 from manifold.formats.values import unnamed_band
-from manifold.records import Array
 
 _REMEDY = "export the measurement again, or save another workbook as .xlsx"
 _LARGEST = 20_000_000  # bytes; ten thousand measurements have two million

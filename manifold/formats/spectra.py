@@ -13,7 +13,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from manifold import disk
+from manifold.core import disk
+from manifold.core.records import Array
 from manifold.formats.column_heads import is_wavenumber, uncertainty_head, wavelength_unit
 from manifold.formats.foreign import name_format
 from manifold.formats.quantities import SpectrumKind, is_percent, spectrum_kinds
@@ -26,7 +27,6 @@ from manifold.formats.text import (
     number,
     split_cells,
 )
-from manifold.records import Array
 
 Wanted = Literal["reflectance", "power", "sensitivity"]
 _LEAST_NM, _MOST_NM = 100.0, 10_000.0

@@ -15,15 +15,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from manifold import disk
-from manifold.directions import from_spherical
+from manifold.core import disk
+from manifold.core.directions import from_spherical
+from manifold.core.names import in_one_line
+from manifold.core.records import Array
 from manifold.formats.bsdf_text import Words, total_scatter, unique_directions
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import GONIOMETER, Readings
 from manifold.formats.text import ErrorContext, read_bytes
 from manifold.formats.values import unnamed_band
-from manifold.names import in_one_line
-from manifold.records import Array
 
 _REMEDY = "open the file in Speos' BSDF viewer and save it as text again"
 _HEADER = re.compile(r"OPTIS - (brdf|anisotropic bsdf) surface file v(\d{1,3})", re.IGNORECASE)

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from manifold.core.records import Array, Mask
 from manifold.formats import column_heads
 from manifold.formats.column_heads import (
     angle_names,
@@ -55,7 +56,6 @@ from manifold.formats.values import (
     relative_uncertainties,
     weights_of,
 )
-from manifold.records import Array, Mask
 
 Cell = str | float | int | None
 HEADERS = "'Name, Geometry, 400, 410' or 'theta_i (deg), phi_i (deg), theta_o (deg), phi_o (deg), 465nm'"

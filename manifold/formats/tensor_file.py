@@ -19,10 +19,10 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import disk
+from manifold.core import disk
+from manifold.core.records import AnyArray
 from manifold.formats.foreign import name_format
 from manifold.formats.text import ErrorContext
-from manifold.records import AnyArray
 
 MAGIC, GZIP = b"tensor_file\0", b"\x1f\x8b"
 _PREAMBLE = struct.Struct("<12sBBI")

@@ -11,10 +11,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from manifold import disk
-from manifold.errors import FileFormatError
-from manifold.names import printable
-from manifold.records import Array
+from manifold.core import disk
+from manifold.core.errors import FileFormatError
+from manifold.core.names import printable
+from manifold.core.records import Array
 
 _LONGEST_FINDING = 400  # letters
 CORRECT_CELL = "correct the cell"

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import disk
+from manifold.core import disk
+from manifold.core.records import Array
 from manifold.formats.dense import DenseTable
 from manifold.formats.text import ErrorContext, read_bytes
-from manifold.records import Array
 
 SHAPE = (6, 48, 6, 48)
 SIZE = 8 * 3 * 288 * 288

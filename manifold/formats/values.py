@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from manifold.core.records import Array
 from manifold.formats.column_heads import channel, is_percent, uncertainty_head, wavelength
 from manifold.formats.quantities import BRDF, FACTORS, Quantity
 from manifold.formats.text import LENGTH_UNIT, ErrorContext, is_length_unit, wavelength_nm
-from manifold.records import Array
 
 SHORTEST_NM, LONGEST_NM = 100.0, 1e5
 """The range of wavelengths; values beyond it have another unit."""

@@ -1,7 +1,7 @@
 """Pictures in the workbooks of instruments: read from a sheet, decoded, and written into one.
 
-openpyxl's own image loader gives Pillow any part of a workbook, see `manifold.picture_bytes`. So parts are read here
-as bytes.
+openpyxl's own image loader gives Pillow any part of a workbook, see `manifold.core.picture_bytes`. So parts are read
+here as bytes.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from manifold import picture_bytes
-from manifold.errors import FileFormatError
+from manifold.core import picture_bytes
+from manifold.core.errors import FileFormatError
+from manifold.core.records import Array
 from manifold.formats.geometries import parse_geometry
 from manifold.formats.readings import aspecular_pair
-from manifold.records import Array
 
 _MOST_BYTES = 200_000_000  # of the pictures of a workbook, unpacked
 _MOST_PIXELS = 2_000_000  # of a picture; those of an MA-T12 have 172,800

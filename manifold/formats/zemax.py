@@ -12,8 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import disk
-from manifold.directions import from_spherical, rotate_z
+from manifold.core import disk
+from manifold.core.directions import from_spherical, rotate_z
+from manifold.core.names import in_one_line
+from manifold.core.records import Array, Mask
 from manifold.formats.bsdf_text import (
     Block,
     BsdfText,
@@ -25,8 +27,6 @@ from manifold.formats.bsdf_text import (
 from manifold.formats.readings import GONIOMETER, Readings
 from manifold.formats.text import decode
 from manifold.formats.values import converted, linear_srgb_to_xyz, unnamed_band
-from manifold.names import in_one_line
-from manifold.records import Array, Mask
 
 # of zeros: instruments end at 75 to 85 degrees, tables at the horizon
 _PADDING_FROM = np.cos(np.deg2rad(75.0))

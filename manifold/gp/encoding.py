@@ -9,11 +9,11 @@ from functools import cache, cached_property
 import numpy as np
 import scipy
 
+from manifold.core.mapping import ValueMapping
+from manifold.core.metrics import cube_root_error, relative_error
+from manifold.core.pairs import Pairs, RusinkiewiczGrid
+from manifold.core.records import Array
 from manifold.gpr import GaussianProcess
-from manifold.mapping import ValueMapping
-from manifold.metrics import cube_root_error, relative_error
-from manifold.pairs import Pairs, RusinkiewiczGrid
-from manifold.records import Array
 
 Criterion = Callable[[Array, float], tuple[float, Array, float]]
 """A function of V (n,) and v that returns a value and its derivatives by V (n,) and by v."""

@@ -16,8 +16,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from manifold.errors import UsageError
-from manifold.records import Array, Indices, Mask
+from manifold.core.errors import UsageError
+from manifold.core.records import Array, Indices, Mask
 from manifold.registries import KERNELS
 
 SMALLEST_MU = 1e-10  # below, K loses definiteness while latents pass each other

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import scipy
 
-from manifold.compiled import loops
-from manifold.errors import NumericalError, ShapeError, UsageError
+from manifold.core.compiled import loops
+from manifold.core.errors import NumericalError, ShapeError, UsageError
+from manifold.core.records import Array
+from manifold.core.threads import one_blas_thread
 from manifold.gp.kernels import Kernel
-from manifold.records import Array
-from manifold.threads import one_blas_thread
 
 _SYMMETRIC = 1e-9  # sum of cubes, relative to that of their magnitudes
 

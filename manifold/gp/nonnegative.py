@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from manifold.compiled import loops
-from manifold.errors import ShapeError
-from manifold.records import Array
+from manifold.core.compiled import loops
+from manifold.core.errors import ShapeError
+from manifold.core.records import Array
 
 _RIDGE = 1e-10  # on a unit diagonal: atoms that are alike leave the Gram matrix singular
 _TOLERANCE = 1e-9  # smallest slope, relative to the largest inner product

@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from manifold.compiled import loops
+from manifold.core.compiled import loops
+from manifold.core.records import AnyArray
 from manifold.library import visible_normals
 from manifold.library.identity import Accuracy
 from manifold.library.layout import compressed_bytes, pack
-from manifold.records import AnyArray
 
 EXTRA = "extra "
 """Before the names of fields that this package does not interpret."""

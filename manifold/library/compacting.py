@@ -10,11 +10,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from manifold import progress
 from manifold.brdf.measured import MeasuredBRDF, values_at
 from manifold.colour import panel
-from manifold.errors import LibraryError
-from manifold.judged_lights import BALL
+from manifold.core import progress
+from manifold.core.errors import LibraryError
+from manifold.core.judged_lights import BALL
+from manifold.core.metrics import cube_root_error
+from manifold.core.names import percent
+from manifold.core.pairs import Pairs, RusinkiewiczGrid
+from manifold.core.records import AnyArray, Array, BsdfFile
 from manifold.library import staging, visible_normals
 from manifold.library.compact import EXTRA, Compact, decode
 from manifold.library.identity import (
@@ -28,10 +32,6 @@ from manifold.library.identity import (
 from manifold.library.layout import COEFFICIENTS, TABLES, read_attributes
 from manifold.library.staging import write_material
 from manifold.library.store import Library, read_material
-from manifold.metrics import cube_root_error
-from manifold.names import percent
-from manifold.pairs import Pairs, RusinkiewiczGrid
-from manifold.records import AnyArray, Array, BsdfFile
 
 CUBE_ROOT_PER_BALL = 0.05
 """The cube-root error that is allowed per CIEDE2000 of the ball that is: 1 % at 0.2."""

@@ -11,12 +11,13 @@ from pathlib import Path
 from types import MappingProxyType
 from urllib.parse import quote, urlsplit
 
-from manifold import __version__, progress
-from manifold.errors import FetchError, FileFormatError, UnknownNameError, UsageError
-from manifold.extras import require
+from manifold import __version__
+from manifold.core import progress
+from manifold.core.errors import FetchError, FileFormatError, UnknownNameError, UsageError
+from manifold.core.extras import require
+from manifold.core.names import first_few, names_like
 from manifold.io_rgl import read_bsdf
 from manifold.library.identity import require_outside_libraries
-from manifold.names import first_few, names_like
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from manifold.errors import UsageError
-from manifold.recognition import is_library
-from manifold.records import AnyArray, Array, BsdfFile, origin_of
+from manifold.core.errors import UsageError
+from manifold.core.records import AnyArray, Array, BsdfFile, origin_of
+from manifold.formats.recognition import is_library
 
 
 def require_outside_libraries(path: Path, *, into: bool = False) -> None:

@@ -15,10 +15,13 @@ from typing import Literal, TypeVar
 
 import numpy as np
 
-from manifold import progress, work
 from manifold.brdf.consistency import check_consistency
 from manifold.brdf.orientation import rotation_of
-from manifold.errors import LibraryError, ManifoldError, MissingFileError, UsageError
+from manifold.core import progress, work
+from manifold.core.errors import LibraryError, ManifoldError, MissingFileError, UsageError
+from manifold.core.names import counted
+from manifold.core.records import Bands
+from manifold.formats.recognition import is_rgl
 from manifold.io_rgl import read_bsdf
 from manifold.library import staging
 from manifold.library.identity import (
@@ -29,9 +32,6 @@ from manifold.library.identity import (
 )
 from manifold.library.staging import make_store, write_material
 from manifold.library.store import Library
-from manifold.names import counted
-from manifold.recognition import is_rgl
-from manifold.records import Bands
 
 _MANY_TASKS = 64  # number of tasks from which on they have several files
 _MOST_TOGETHER = 16  # files of a task

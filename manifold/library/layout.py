@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from manifold.records import RGB_NAMES, AnyArray, Array, Bands
+from manifold.core.records import RGB_NAMES, AnyArray, Array, Bands
 
 SCHEMA = "manifold-library"
 SCHEMA_VERSION = 2

@@ -18,8 +18,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from manifold import disk
-from manifold.errors import LibraryError
+from manifold.core import disk
+from manifold.core.errors import LibraryError
+from manifold.core.records import Bands, BsdfFile
 from manifold.library import visible_normals
 from manifold.library.compact import Compact
 from manifold.library.identity import describe, present_arrays
@@ -36,7 +37,6 @@ from manifold.library.layout import (
     write_array,
     write_group,
 )
-from manifold.records import Bands, BsdfFile
 
 _REPLACED = ".replaced"
 _PARTS = ("materials", "cache")  # folders in which folders are replaced

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from manifold import progress
-from manifold.errors import (
+from manifold.core import progress
+from manifold.core.errors import (
     FileFormatError,
     LibraryError,
     ManifoldError,
@@ -26,6 +26,8 @@ from manifold.errors import (
     ShapeError,
     UnknownNameError,
 )
+from manifold.core.names import names_like
+from manifold.core.records import AnyArray, Array, Bands, BsdfFile
 from manifold.io_rgl import require_sound
 from manifold.library import compact, staging, visible_normals
 from manifold.library.identity import (
@@ -53,8 +55,6 @@ from manifold.library.layout import (
     write_group,
 )
 from manifold.library.staging import make_store
-from manifold.names import names_like
-from manifold.records import AnyArray, Array, Bands, BsdfFile
 
 MOST_BYTES = 1 << 30
 """The largest total of all entries of a library; those least recently used go first."""

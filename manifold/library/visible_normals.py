@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from manifold.directions import HORIZON, u_to_phi, u_to_theta
-from manifold.records import AnyArray, Array, BsdfFile
+from manifold.core.directions import HORIZON, u_to_phi, u_to_theta
+from manifold.core.records import AnyArray, Array, BsdfFile
 
 Differences = NDArray[np.int32]
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from manifold import progress
 from manifold.brdf.interface import all_isotropic
 from manifold.brdf.measured import MeasuredBRDF, values_at
 from manifold.brdf.plausibility import (
@@ -21,6 +20,8 @@ from manifold.brdf.plausibility import (
 from manifold.colour import ball_colours, panel
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000_lab, to_lab
+from manifold.core import progress
+from manifold.core.records import Array, Indices, evenly_spaced
 from manifold.gp.encoding import encoding_pairs
 from manifold.gp.kernels import Kernel
 from manifold.model.blend_space import BlendSpace
@@ -28,7 +29,6 @@ from manifold.model.blending import Layout, blend_layout
 from manifold.model.colour_paths import ColourPaths, fit_paths, sample_rows
 from manifold.model.decoding import OF_BALL, appearance_weight, integrating_sphere, roots_at
 from manifold.model.landmarks import SIGNATURE, Comparison, farthest_samples, landmark_layout, signatures
-from manifold.records import Array, Indices, evenly_spaced
 
 _BANDS = 12  # bands in which materials are compared, evenly spaced
 _FLOOR = 1e-2  # 1/sr, added before logarithms: smaller values look black

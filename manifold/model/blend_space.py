@@ -10,12 +10,14 @@ from typing import ClassVar, Protocol
 import numpy as np
 import scipy
 
-from manifold.errors import UsageError
+from manifold.core.errors import UsageError
+from manifold.core.mapping import CubeRoot, ValueMapping
+from manifold.core.metrics import relative_error
+from manifold.core.pairs import Pairs
+from manifold.core.records import AnyArray, Array, Indices
 from manifold.gp.encoding import Decoder, encoding_pairs
 from manifold.gp.kernels import Kernel, first_equal_row
 from manifold.gpr import GaussianProcess
-from manifold.mapping import CubeRoot, ValueMapping
-from manifold.metrics import relative_error
 from manifold.model.blending import NEIGHBOURS, blend_weights, nearest_distance, widest_gap
 from manifold.model.colour_paths import ColourPaths, between, interpolate, sample_rows
 from manifold.model.combination import Combination
@@ -23,8 +25,6 @@ from manifold.model.decoding import appearance_pairs, appearance_weight, roots_a
 from manifold.model.latent_space import Embedded, LatentSpace, LeftOutSearch, require_bands, require_shapes
 from manifold.model.materials import MaterialCache, MaterialTable
 from manifold.model.settings import Settings
-from manifold.pairs import Pairs
-from manifold.records import AnyArray, Array, Indices
 
 # Places that the search for a new material's place tries, and refines.
 _TRIED_PLACES, _REFINED_PLACES = 150, 3

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from manifold.errors import ShapeError
+from manifold.core.errors import ShapeError
+from manifold.core.records import Array, Indices
 from manifold.gp.kernels import squared_distances
 from manifold.gp.likelihood import fix_gauge
-from manifold.records import Array, Indices
 
 NEIGHBOURS = 128
 """Number of nearest samples among which a blend finds its weights."""

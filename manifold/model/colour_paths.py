@@ -15,8 +15,8 @@ from functools import cached_property
 import numpy as np
 import scipy
 
+from manifold.core.records import Array, Indices
 from manifold.gp.nonnegative import nonnegative_weights
-from manifold.records import Array, Indices
 
 WHITE = 0.9
 """Reflectance at which paths end, unless their albedo would exceed 1."""

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from manifold.colour.reflectances import ReflectanceSpectrum, read_reflectance, srgb_reflectance
-from manifold.errors import ShapeError, UsageError
+from manifold.core.errors import ShapeError, UsageError
+from manifold.core.records import Array, Bands
 from manifold.gp.encoding import Decoder
 from manifold.library.identity import file_sha256
 from manifold.model.blend_space import BlendSpace
@@ -20,7 +21,6 @@ from manifold.model.latent_space import LatentSpace, fixed_colours
 from manifold.model.materials import MaterialCache
 from manifold.model.places import require_latent
 from manifold.model.settings import Settings
-from manifold.records import Array, Bands
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,10 @@ import numpy as np
 
 from manifold.analytic.free_lobes import Lobes
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.errors import ShapeError
-from manifold.mapping import ValueMapping
-from manifold.pairs import Pairs, cosine_weight
-from manifold.records import Array, Indices
+from manifold.core.errors import ShapeError
+from manifold.core.mapping import ValueMapping
+from manifold.core.pairs import Pairs, cosine_weight
+from manifold.core.records import Array, Indices
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,8 @@ import numpy as np
 from manifold.brdf.interface import BRDF, all_isotropic, require_brdf
 from manifold.brdf.measured import values_at
 from manifold.colour import panel
-from manifold.metrics import Errors
-from manifold.pairs import Pairs, RusinkiewiczGrid
+from manifold.core.metrics import Errors
+from manifold.core.pairs import Pairs, RusinkiewiczGrid
 
 _BLOCK_VALUES = 2_000_000  # values of a BRDF held at once
 

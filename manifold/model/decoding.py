@@ -12,13 +12,13 @@ from manifold.brdf.measured import values_at
 from manifold.brdf.plausibility import mirrored_quadrature
 from manifold.colour import ball_colours
 from manifold.colour.ball_colours import Picture, sums_of_runs
-from manifold.directions import from_spherical
+from manifold.core.directions import from_spherical
+from manifold.core.pairs import Pairs
+from manifold.core.records import Array
 from manifold.gp.encoding import Decoder, encoding_pairs
 from manifold.model.latent_space import LatentSpace
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
-from manifold.pairs import Pairs
-from manifold.records import Array
 from manifold.registries import MAPPINGS
 
 REFLECTANCE_INCIDENCE_DEG = 8.0  # incidence in integrating spheres, specular included

@@ -10,13 +10,13 @@ from manifold import __version__
 from manifold.brdf.interface import BRDF
 from manifold.brdf.physical import RECIPROCITY_ERROR
 from manifold.brdf.plausibility import Plausibility, albedo_at, plausibility
-from manifold.judged_lights import BALL
-from manifold.metrics import EXPECTED_BALL, Errors
+from manifold.core.judged_lights import BALL
+from manifold.core.metrics import EXPECTED_BALL, Errors
+from manifold.core.names import percent
+from manifold.core.records import Array
+from manifold.core.results import Result, derived, entry
 from manifold.model.colours import NEAREST, UNCHOSEN, ChosenColour, ColourChoice
 from manifold.model.expected_error import BELOW_TWICE, COARSE_BELOW, NOT_CALIBRATED
-from manifold.names import percent
-from manifold.records import Array
-from manifold.results import Result, derived, entry
 
 if TYPE_CHECKING:
     from manifold.model.manifold import Manifold

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from manifold.core.records import Array, Mask
+from manifold.core.threads import one_blas_thread
 from manifold.gp.nonnegative import nonnegative_weights
-from manifold.records import Array, Mask
-from manifold.threads import one_blas_thread
 
 LEAST = 216.0 / 24389.0
 """The share of display white below which CIELAB is linear."""

@@ -8,12 +8,13 @@ from functools import cached_property
 
 import numpy as np
 
-from manifold import progress
 from manifold.brdf.measured import values_at
 from manifold.colour import panel
+from manifold.core import progress
+from manifold.core.mapping import CubeRoot
+from manifold.core.metrics import Errors
+from manifold.core.records import AnyArray, Array, Indices, Mask, evenly_spaced
 from manifold.gp.encoding import encoding_pairs
-from manifold.mapping import CubeRoot
-from manifold.metrics import Errors
 from manifold.model.blend_fitting import BlendSamples
 from manifold.model.blend_space import BlendSpace
 from manifold.model.blending import blend_weights, nearest_distance, widest_gap
@@ -23,7 +24,6 @@ from manifold.model.landmarks import LandmarkSearch, combined, farthest_samples
 from manifold.model.latent_space import LatentSpace, LeftOutSearch, require_shapes
 from manifold.model.materials import MaterialCache, MaterialTable
 from manifold.model.settings import Settings
-from manifold.records import AnyArray, Array, Indices, Mask, evenly_spaced
 
 LEAST_MATERIALS = 4
 """With fewer, left-out errors predict nothing."""

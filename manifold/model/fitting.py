@@ -9,21 +9,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from manifold import progress
 from manifold.brdf.interface import BRDF, all_isotropic
 from manifold.brdf.measured import MeasuredBRDF, values_at
-from manifold.directions import from_spherical
-from manifold.errors import UsageError
+from manifold.core import progress
+from manifold.core.directions import from_spherical
+from manifold.core.errors import UsageError
+from manifold.core.mapping import ValueMapping
+from manifold.core.names import counted
+from manifold.core.pairs import Pairs, RusinkiewiczGrid, cosine_weight
+from manifold.core.records import Array, evenly_spaced
 from manifold.gp.likelihood import LatentObjective, centre_gram, require_start
-from manifold.mapping import ValueMapping
 from manifold.model.blend_fitting import BlendSamples, BlendTables, evaluate, fit_landmarks
 from manifold.model.latent_space import LatentSpace
 from manifold.model.material_space import MaterialSpace
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import MOST_LAID_OUT, Settings
-from manifold.names import counted
-from manifold.pairs import Pairs, RusinkiewiczGrid, cosine_weight
-from manifold.records import Array, evenly_spaced
 from manifold.registries import MAPPINGS
 
 BLOCK_PAIRS = 1024  # direction pairs held at once: 51 materials x 195 bands x 1024 pairs are 80 MB

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from manifold.core.metrics import relative_error
+from manifold.core.pairs import Pairs
+from manifold.core.records import Array, Indices
 from manifold.gp.encoding import encoding_pairs
-from manifold.metrics import relative_error
 from manifold.model.blend_space import BlendSpace, PlaceSearch, Rows
 from manifold.model.blending import (
     DAMPING,
@@ -27,8 +29,6 @@ from manifold.model.colour_paths import sample_rows
 from manifold.model.decoding import appearance_weight, roots_at
 from manifold.model.latent_space import Embedded
 from manifold.model.materials import MaterialCache
-from manifold.pairs import Pairs
-from manifold.records import Array, Indices
 
 _TRIED_PLACES, _STARTS = 150, 3  # places tried for a sample among the landmarks, and searches from them
 _STEPS = 60  # steps of each search

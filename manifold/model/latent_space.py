@@ -10,16 +10,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from manifold.errors import ShapeError, UsageError
+from manifold.core.errors import ShapeError, UsageError
+from manifold.core.mapping import ValueMapping
+from manifold.core.pairs import Pairs
+from manifold.core.records import AnyArray, Array, Indices
 from manifold.gp.encoding import Decoder, encoding_pairs
 from manifold.gp.kernels import Kernel, first_equal_row
 from manifold.gpr import GaussianProcess
-from manifold.mapping import ValueMapping
 from manifold.model.combination import Combination
 from manifold.model.materials import MaterialCache, MaterialTable
 from manifold.model.settings import Settings
-from manifold.pairs import Pairs
-from manifold.records import AnyArray, Array, Indices
 
 LeftOutSearch = Callable[[int], tuple[Array, Combination, float]]
 """A function from a left-out material's index to its place (Q,), its prediction, and its residual.

@@ -12,9 +12,11 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.orientation import rotation_of
 from manifold.brdf.plausibility import Plausibility
 from manifold.brdf.unmeasured_cells import fill_unmeasured, unmeasured_cells, unmeasured_share
-from manifold.errors import UsageError
+from manifold.core.errors import UsageError
+from manifold.core.metrics import ERROR_COLUMNS, Errors
+from manifold.core.records import Array, BsdfFile, evenly_spaced
+from manifold.core.results import Result, derived, entry
 from manifold.library.store import Library
-from manifold.metrics import ERROR_COLUMNS, Errors
 from manifold.model import diagnostics
 from manifold.model.comparison import brdf_errors
 from manifold.model.manifold import Manifold
@@ -22,8 +24,6 @@ from manifold.model.materials import MaterialCache, names_without
 from manifold.model.prediction import PredictedBRDF
 from manifold.model.reconstruction import reconstruct
 from manifold.model.settings import Settings
-from manifold.records import Array, BsdfFile, evenly_spaced
-from manifold.results import Result, derived, entry
 
 _SHOWN_PARTS = 5
 

@@ -15,11 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from manifold.brdf.interface import BRDF, require_brdf
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.errors import UnknownNameError, UsageError
+from manifold.core.errors import UnknownNameError, UsageError
+from manifold.core.mapping import Identity, ValueMapping
+from manifold.core.metrics import Errors
+from manifold.core.names import names_like
+from manifold.core.records import Array, Bands, Indices, Mask, evenly_spaced
+from manifold.core.threads import one_blas_thread
 from manifold.gpr import GaussianProcess, LengthScaleBound
 from manifold.library.store import Library
-from manifold.mapping import Identity, ValueMapping
-from manifold.metrics import Errors
 from manifold.model.blend_space import BlendSpace
 from manifold.model.colours import NEAREST, UNCHOSEN, ChosenColour, ColourChoice, ReflectanceColours
 from manifold.model.combination import Combination
@@ -46,10 +49,7 @@ from manifold.model.prediction import PredictedBRDF
 from manifold.model.reconstruction import reconstruct
 from manifold.model.settings import Settings
 from manifold.model.walks import Walk, Walked
-from manifold.names import names_like
-from manifold.records import Array, Bands, Indices, Mask, evenly_spaced
 from manifold.registries import MAPPINGS
-from manifold.threads import one_blas_thread
 
 _ONE = np.ones(1)
 _DEFAULTS = Settings()

@@ -7,7 +7,7 @@ from html import escape
 
 import numpy as np
 
-from manifold.records import Array
+from manifold.core.records import Array
 
 _SIZE, _MARGIN = np.array([560.0, 400.0]), np.array([90.0, 24.0])
 

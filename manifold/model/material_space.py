@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from manifold.core.records import AnyArray, Array, Indices, evenly_spaced
 from manifold.gp.encoding import Decoder, Encoder
 from manifold.gp.kernels import Kernel
 from manifold.model.combination import Combination
@@ -15,7 +16,6 @@ from manifold.model.decoding import decoder_at
 from manifold.model.latent_space import Embedded, LatentSpace, LeftOutSearch, require_shapes
 from manifold.model.materials import MaterialCache, MaterialTable
 from manifold.model.settings import Settings
-from manifold.records import AnyArray, Array, Indices, evenly_spaced
 
 _SAME = 1e-2  # cube-root error below which a file is that material; compact libraries keep it by default
 _EMBEDDING_BANDS = 20  # bands of a whole material that serve to embed it, evenly spaced

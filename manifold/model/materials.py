@@ -11,19 +11,19 @@ from functools import cached_property
 
 import numpy as np
 
-from manifold import progress
 from manifold.brdf.interface import all_isotropic
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.orientation import rotation_of
 from manifold.brdf.unmeasured_cells import fill_unmeasured, unmeasured_cells, unmeasured_share
 from manifold.colour import panel
-from manifold.errors import UnknownNameError
+from manifold.core import progress
+from manifold.core.errors import UnknownNameError
+from manifold.core.metrics import Errors
+from manifold.core.names import names_like
+from manifold.core.records import Array, BsdfFile, Indices
 from manifold.gp.encoding import encoding_pairs
 from manifold.library.store import Library
-from manifold.metrics import Errors
 from manifold.model.combination import Combination, Values, evaluate
-from manifold.names import names_like
-from manifold.records import Array, BsdfFile, Indices
 
 _MOST_KEPT = 1000  # materials in memory, those read last
 _AT_ONCE = 16  # materials read together where none are kept

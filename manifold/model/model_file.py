@@ -21,16 +21,16 @@ from typing import Any
 import h5py
 import numpy as np
 
-from manifold import disk
-from manifold.errors import LibraryError, MissingModelError, ModelError, UnknownNameError, UsageError
+from manifold.core import disk
+from manifold.core.errors import LibraryError, MissingModelError, ModelError, UnknownNameError, UsageError
+from manifold.core.records import Array
+from manifold.formats.recognition import MODEL_MAGIC
 from manifold.library.store import Library
 from manifold.model.blend_space import BlendSpace
 from manifold.model.expected_error import LeftOut
 from manifold.model.latent_space import LatentSpace
 from manifold.model.material_space import MaterialSpace
 from manifold.model.settings import Settings
-from manifold.recognition import MODEL_MAGIC
-from manifold.records import Array
 
 FORMAT = "manifold-model"
 FORMAT_VERSION = 4

@@ -9,18 +9,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from manifold import disk
 from manifold.brdf import goniometer
 from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.physical import physical_file
 from manifold.brdf.plausibility import Plausibility, plausibility_of_file
-from manifold.errors import UsageError
+from manifold.core import disk
+from manifold.core.errors import UsageError
+from manifold.core.metrics import Errors, Number
+from manifold.core.records import BsdfFile
 from manifold.io_rgl import material_name, write_bsdf
-from manifold.metrics import Errors, Number
 from manifold.model import diagnostics
 from manifold.model.comparison import brdf_errors
-from manifold.records import BsdfFile
 
 EXPECTED_ERROR = "expected_cube_root_error"
 """Field of files of completions and predictions: expected relative error of cube roots, float32, shape (1,)."""

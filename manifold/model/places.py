@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manifold.errors import LatentError, UsageError
-from manifold.records import Array
+from manifold.core.errors import LatentError, UsageError
+from manifold.core.records import Array
 
 LARGEST_COORDINATE = 1e9  # latents are of order one; far larger ones overflow when squared
 

@@ -18,13 +18,13 @@ from manifold.brdf.notebook import NotebookPicture
 from manifold.brdf.plausibility import quadrature_albedo
 from manifold.brdf.sums import WeightedSum
 from manifold.brdf.wrapper import WrappedBRDF
-from manifold.directions import half_vector, require_directions
-from manifold.errors import ShapeError
-from manifold.mapping import CubeRoot, Identity, ValueMapping
+from manifold.core.directions import half_vector, require_directions
+from manifold.core.errors import ShapeError
+from manifold.core.mapping import CubeRoot, Identity, ValueMapping
+from manifold.core.pairs import Pairs
+from manifold.core.records import Array, Bands
+from manifold.core.threads import one_blas_thread, share_out
 from manifold.model.combination import Combination
-from manifold.pairs import Pairs
-from manifold.records import Array, Bands
-from manifold.threads import one_blas_thread, share_out
 
 
 class LobeSampling:

@@ -13,17 +13,17 @@ from manifold.analytic.free_lobes import Lobes
 from manifold.brdf.interface import BRDF, all_isotropic
 from manifold.brdf.measured import values_at
 from manifold.colour import panel
-from manifold.errors import UsageError
+from manifold.core.errors import UsageError
+from manifold.core.mapping import Identity
+from manifold.core.pairs import Pairs
+from manifold.core.records import Array, Indices, evenly_spaced
+from manifold.core.threads import one_blas_thread
 from manifold.gp.encoding import encoding_pairs
 from manifold.gp.nonnegative import nonnegative_weights
-from manifold.mapping import Identity
 from manifold.model.combination import Combination, Dictionary
 from manifold.model.estimator import LEAST, Observation, explain
 from manifold.model.materials import MaterialCache
 from manifold.model.prediction import PredictedBRDF
-from manifold.pairs import Pairs
-from manifold.records import Array, Indices, evenly_spaced
-from manifold.threads import one_blas_thread
 
 DICTIONARY = Dictionary((1.0, 2.0 / 3.0, 1.0 / 3.0), Lobes(soft_degree=4))
 """Atoms of reconstructions: roots of samples have the broader lobes that sums of values lack."""

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from numbers import Integral
 from typing import Any, cast
 
-from manifold.errors import UsageError
+from manifold.core.errors import UsageError
+from manifold.core.pairs import RusinkiewiczGrid
 from manifold.gp.kernels import Kernel, kernel_named, require_mu
-from manifold.pairs import RusinkiewiczGrid
 from manifold.registries import MAPPINGS, OPTIMIZERS
 
 _KIND_DEFAULTS: dict[str, dict[str, Any]] = {

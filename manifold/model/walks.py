@@ -19,11 +19,11 @@ from manifold.brdf.wrapper import WrappedBRDF
 from manifold.colour.ball_colours import ball
 from manifold.colour.conversion import srgb_to_xyz, to_srgb
 from manifold.colour.difference import delta_e_2000_lab, to_lab
-from manifold.mapping import Identity
+from manifold.core.mapping import Identity
+from manifold.core.records import Array
 from manifold.model.combination import Combination
 from manifold.model.decoding import appearance_pairs
 from manifold.model.prediction import PredictedBRDF
-from manifold.records import Array
 
 ROUGHNESSES = np.geomspace(0.9, 0.005, 36)
 WALK_NODES = 17  # values of t, between which a walk's share is linear

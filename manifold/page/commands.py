@@ -15,15 +15,15 @@ from pathlib import Path
 from typing import Any
 
 from manifold.colour.lights import ENVIRONMENTS
-from manifold.colour.pictures import SUFFIXES
+from manifold.colour.picture_files import SUFFIXES
 from manifold.colour.reflectances import ReflectanceSpectrum
-from manifold.errors import UsageError
+from manifold.core.errors import UsageError
+from manifold.core.extras import require
 from manifold.estimate.sightings import PhotoRequest
 from manifold.estimate.sources import FileSource, PlaceSource
-from manifold.extras import require
+from manifold.formats.recognition import FIT_SUFFIX
 from manifold.model.colours import ColourChoice
 from manifold.model.places import parse_walk
-from manifold.recognition import FIT_SUFFIX
 from manifold.registries import TARGETS, Registry
 
 Request = Mapping[str, Any]

@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from manifold import disk
-from manifold.errors import UsageError
-from manifold.extras import require
+from manifold.core import disk
+from manifold.core.errors import UsageError
+from manifold.core.extras import require
 from manifold.library.identity import require_outside_libraries
 from manifold.model.blend_space import require_blends
 from manifold.model.manifold import Manifold

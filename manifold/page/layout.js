@@ -1,6 +1,6 @@
 // Places of balls and names on the map. No page is touched here.
 
-const STEPS = 200, ATTRACTION = 0.02, GAP = 1.06; // as in manifold/plots/plot_balls.py
+const STEPS = 200, ATTRACTION = 0.02, GAP = 1.06; // as in manifold/pictures/plot_balls.py
 const LINE = 13; // letters of a name before it is broken
 
 /** A name in at most two lines of some thirteen letters. */

@@ -22,9 +22,11 @@ from manifold.colour import ball_colours
 from manifold.colour.conversion import VISIBLE_NM, encode_srgb, to_srgb, xyz_to_srgb
 from manifold.colour.lights import ENVIRONMENTS, environment
 from manifold.colour.reflectances import srgb_spectra
-from manifold.errors import UsageError
+from manifold.core.errors import UsageError
+from manifold.core.judged_lights import BALL, LIGHTS
+from manifold.core.pairs import Pairs
+from manifold.core.records import Array, Bands, Indices, evenly_spaced
 from manifold.estimate.attributes import SLIDERS
-from manifold.judged_lights import BALL, LIGHTS
 from manifold.model.blend_space import BlendSpace, require_blends
 from manifold.model.expected_error import COARSE_BELOW
 from manifold.model.manifold import Manifold
@@ -39,8 +41,6 @@ from manifold.page.tabulated_pairs import (
     TabulatedPairs,
     tabulated_pairs,
 )
-from manifold.pairs import Pairs
-from manifold.records import Array, Bands, Indices, evenly_spaced
 from manifold.surface.written import WrittenSurface
 
 _NODES = {1: 200, 2: 72, 3: 24}  # per dimension; maps of more dimensions have none

@@ -13,12 +13,12 @@ from scipy.ndimage import distance_transform_edt
 from manifold.brdf.interface import BRDF
 from manifold.brdf.wrapper import WrappedBRDF
 from manifold.colour.conversion import encode_srgb, interpolation_matrix, to_srgb
-from manifold.directions import normalize
-from manifold.errors import UsageError
+from manifold.core.directions import normalize
+from manifold.core.errors import UsageError
+from manifold.core.records import Array, Bands
 from manifold.model.location import locate_brdf
 from manifold.model.manifold import Manifold
 from manifold.page.tabulated_pairs import TabulatedPairs
-from manifold.records import Array, Bands
 from manifold.surface.sparkle import DrawnFlakes
 from manifold.surface.tiling import Textures
 from manifold.surface.written import WrittenSurface

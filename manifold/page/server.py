@@ -19,8 +19,8 @@ from tempfile import mkdtemp
 from typing import Any, cast
 from urllib.parse import parse_qs, unquote
 
-from manifold.disk import refuse_constant
-from manifold.errors import UsageError
+from manifold.core.disk import refuse_constant
+from manifold.core.errors import UsageError
 from manifold.page.commands import COMMANDS, Context, call_of
 from manifold.page.jobs import Job, Queue
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from manifold.brdf.plausibility import mirrored_quadrature
-from manifold.directions import from_rusinkiewicz, from_spherical
+from manifold.core.directions import from_rusinkiewicz, from_spherical
+from manifold.core.records import Array
 from manifold.estimate.attributes import SLIDERS
 from manifold.model.decoding import REFLECTANCE_INCIDENCE_DEG
-from manifold.records import Array
 
 SLICE_INCIDENCES_DEG = (20.0, 40.0, 60.0)
 _SPHERE_NODES = 20  # nodes in elevation and in azimuth

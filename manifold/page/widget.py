@@ -10,8 +10,8 @@ from urllib.parse import parse_qs
 import numpy as np
 
 from manifold.colour.reflectances import ReflectanceSpectrum
-from manifold.errors import UsageError
-from manifold.extras import require
+from manifold.core.errors import UsageError
+from manifold.core.extras import require
 from manifold.model.colours import ColourChoice
 from manifold.model.manifold import Manifold
 from manifold.model.prediction import PredictedBRDF

@@ -17,8 +17,8 @@ from collections.abc import Callable
 from pkgutil import resolve_name
 from typing import Any
 
-from manifold import progress
-from manifold.errors import in_words
+from manifold.core import progress
+from manifold.core.errors import in_words
 
 
 def serve(run: Callable[[str, dict[str, Any]], dict[str, Any]]) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from manifold.plots.figures import in_lines, new_figure
-from manifold.records import Array, Mask
+from manifold.core.records import Array, Mask
+from manifold.pictures.figures import in_lines, new_figure
 
 _LARGEST_DELTA_E = 10.0  # end of the colour scale: far above what anybody takes for the same colour
 

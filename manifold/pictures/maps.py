@@ -9,11 +9,12 @@ from typing import Literal
 
 import numpy as np
 
-from manifold import progress
 from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import blank_unmeasured, fill_unmeasured
-from manifold.errors import UsageError
+from manifold.core import progress
+from manifold.core.errors import UsageError
+from manifold.core.records import Array
 from manifold.estimate.source_files import read_source
 from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource, PlaceSource, place_of
 from manifold.model import diagnostics
@@ -22,9 +23,8 @@ from manifold.model.diagnostics import DiagnosedPrediction
 from manifold.model.manifold import Manifold
 from manifold.model.places import Place, PlaceLike, on_line
 from manifold.model.walks import Walk
-from manifold.plots import ball_figures, figures, map_figure, slice_figures
-from manifold.plots.slice_figures import Source
-from manifold.records import Array
+from manifold.pictures import ball_figures, figures, map_figure, slice_figures
+from manifold.pictures.slice_figures import Source
 from manifold.render import backend, fit_json, thumbnails
 from manifold.render.fitted_brdf import FittedBRDF
 

@@ -15,19 +15,19 @@ import numpy as np
 from manifold import __version__
 from manifold.colour.conversion import warn_if_invisible
 from manifold.colour.reflectances import ReflectanceSpectrum
-from manifold.errors import UsageError
+from manifold.core.errors import UsageError
+from manifold.core.progress import Stages
+from manifold.core.results import Result, entry
 from manifold.estimate.source_files import source_file
 from manifold.estimate.sources import FileSource, MaterialSource, PlaceSource
+from manifold.formats.recognition import Kind, kind_of
 from manifold.library.identity import hash_arrays
 from manifold.model.colours import ColourChoice
 from manifold.model.places import PlaceLike
-from manifold.progress import Stages
-from manifold.recognition import Kind, kind_of
 from manifold.render import backend, images, scenes
 from manifold.render.ball import BallMaterial, read_material
 from manifold.render.images import Summary
 from manifold.render.render import RenderSettings, require_d65
-from manifold.results import Result, entry
 
 if TYPE_CHECKING:
     from manifold.model.diagnostics import DiagnosedPrediction
@@ -216,8 +216,7 @@ def compare(
         UsageError: one is a material and the other a picture, or the figure cannot be written.
         ShapeError: the pictures have different sizes.
     """
-    from manifold.pictures import comparison_figure
-    from manifold.plots import figures
+    from manifold.pictures import comparison_figure, figures
 
     figures.require_writable(output)
     pictures = [

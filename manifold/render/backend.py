@@ -24,7 +24,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from manifold.errors import RendererError, UsageError
+from manifold.core.errors import RendererError, UsageError
 
 RENDERER_VARIABLE = "MANIFOLD_RENDERER"
 """Environment variable that forces a backend: `llvm`, `scalar`, or `auto` (as if it were not set)."""

@@ -13,12 +13,12 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour import lights
 from manifold.colour.conversion import warn_if_invisible
 from manifold.colour.illuminants import Illuminant
-from manifold.errors import MissingFileError, UsageError
+from manifold.core.errors import MissingFileError, UsageError
+from manifold.core.records import Array, BsdfFile
+from manifold.formats.recognition import is_fit
 from manifold.formats.tensor_file import is_compressed
 from manifold.io_rgl import material_name, read_bsdf, write_bsdf
 from manifold.model.prediction import ClippedBRDF
-from manifold.recognition import is_fit
-from manifold.records import Array, BsdfFile
 from manifold.render import images
 from manifold.render.render import RenderSettings, render_bsdf
 

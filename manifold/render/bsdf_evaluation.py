@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manifold.analytic import principled
-from manifold.errors import RendererError, UsageError
-from manifold.records import Array, Indices
+from manifold.core.errors import RendererError, UsageError
+from manifold.core.records import Array, Indices
 from manifold.render import backend
 from manifold.render.bsdf_parameters import BsdfFamily, Layout
 

@@ -8,8 +8,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from manifold.errors import UsageError
-from manifold.records import Array, plain
+from manifold.core.errors import UsageError
+from manifold.core.records import Array, plain
 
 Transform = Literal["identity", "log", "square", "gloss"]
 """The optimiser's coordinate of a parameter p: p, log p, the square root of its distance from the minimum, or minus the

@@ -13,9 +13,10 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from manifold import __version__, disk
-from manifold.errors import FileFormatError, UsageError
-from manifold.extras import require
+from manifold import __version__
+from manifold.core import disk
+from manifold.core.errors import FileFormatError, UsageError
+from manifold.core.extras import require
 from manifold.render.bsdf_evaluation import bsdf_dict, is_analytic, load_bsdf
 from manifold.render.bsdf_parameters import BsdfFamily, FreeParameter
 from manifold.render.plugin_names import holds_none, require_plugins, types_of

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from manifold.directions import require_directions, rotate_z
-from manifold.records import Array, Bands
+from manifold.core.directions import require_directions, rotate_z
+from manifold.core.records import Array, Bands
 from manifold.render import fit_json
 from manifold.render.bsdf_evaluation import evaluator
 from manifold.render.bsdf_parameters import BsdfFamily

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import disk
 from manifold.colour.conversion import decode_srgb, encode_srgb, srgb_to_xyz
 from manifold.colour.difference import delta_e_2000, delta_e_itp
-from manifold.colour.pictures import Image, read_picture
-from manifold.errors import FileFormatError, ShapeError, UsageError
-from manifold.extras import require
-from manifold.records import Array
+from manifold.colour.picture_files import Image, read_picture
+from manifold.core import disk
+from manifold.core.errors import FileFormatError, ShapeError, UsageError
+from manifold.core.extras import require
+from manifold.core.records import Array
 from manifold.render import backend
 
 SUFFIXES = (".exr", ".png")

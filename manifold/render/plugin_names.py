@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from manifold.errors import FileFormatError
+from manifold.core.errors import FileFormatError
 from manifold.render import backend
 
 # Types of dictionaries; and our own plugin.

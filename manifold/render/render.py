@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from manifold import progress
 from manifold.colour.conversion import sensor_responses, xyz_to_srgb
 from manifold.colour.illuminants import Illuminant
-from manifold.errors import UsageError
-from manifold.records import Array
+from manifold.core import progress
+from manifold.core.errors import UsageError
+from manifold.core.records import Array
 from manifold.render import backend, scenes
 from manifold.render.plugin.bsdf import register
 

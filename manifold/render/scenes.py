@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from manifold.colour.lights import FLOOR_REFLECTANCE, studio
-from manifold.records import Array, Mask
+from manifold.core.records import Array, Mask
 
 PEDESTAL_REFLECTANCE = 0.42
 BALL_CENTRE = (0.0, 0.0, 1.16)

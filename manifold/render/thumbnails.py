@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import progress
 from manifold.brdf.interface import BRDF
+from manifold.core import progress
+from manifold.core.records import Array, BsdfFile
 from manifold.model.manifold import Manifold
-from manifold.records import Array, BsdfFile
 from manifold.render import backend, images, scenes
 from manifold.render.ball import read_material, render_material
 from manifold.render.render import RenderSettings

@@ -8,8 +8,8 @@ from manifold.brdf import goniometer
 from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.wrapper import WrappedBRDF
-from manifold.directions import rotate_z
-from manifold.records import Array, BsdfFile
+from manifold.core.directions import rotate_z
+from manifold.core.records import Array, BsdfFile
 
 _AZIMUTHS = 24  # at which the sample is turned, over a whole turn
 

@@ -11,8 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from manifold import __version__, disk
-from manifold.batch import Batch, Command, Content, Outcome, make_folder
+from manifold import __version__
 from manifold.brdf import goniometer
 from manifold.brdf.interface import BRDF, EvaluableBRDF
 from manifold.brdf.measured import MeasuredBRDF, values_at
@@ -20,16 +19,18 @@ from manifold.brdf.notebook import ball_image, sun_image
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour import panel
 from manifold.colour.conversion import file_to_srgb
-from manifold.errors import UsageError
+from manifold.core import disk
+from manifold.core.errors import UsageError
+from manifold.core.judged_lights import BALL, BALL_COLUMN, LIGHTS
+from manifold.core.metrics import Errors
+from manifold.core.records import BsdfFile
 from manifold.estimate.inputs import Input
 from manifold.estimate.source_files import read_source
 from manifold.estimate.sources import FileSource, MaterialSource
-from manifold.judged_lights import BALL, BALL_COLUMN, LIGHTS
-from manifold.metrics import Errors
+from manifold.formats.recognition import FIT_SUFFIX, is_fit
+from manifold.many.batch import Batch, Command, Content, Outcome, make_folder
 from manifold.model.output_file import FINE_OPTIONS
-from manifold.plots import html_page
-from manifold.recognition import FIT_SUFFIX, is_fit
-from manifold.records import BsdfFile
+from manifold.pictures import html_page
 from manifold.render import images
 from manifold.render.fitted_brdf import FittedBRDF
 from manifold.shader import code, ktx2
@@ -192,8 +193,8 @@ def _export(
     if is_pack:
         _write_balls(folder / BALLS, shader)
     if with_pictures:
-        from manifold.fit.comparison import picture_of_brdfs
-        from manifold.plots.slice_figures import Source
+        from manifold.pictures.fit_comparison import picture_of_brdfs
+        from manifold.pictures.slice_figures import Source
 
         sources = [Source(shader.against, shader.source), Source("exported: shader", shader.table)]
         picture_of_brdfs(shader.name, sources, folder / PICTURE)

@@ -15,8 +15,8 @@ import numpy as np
 
 from manifold.brdf.interface import EvaluableBRDF
 from manifold.colour.conversion import luminance
-from manifold.directions import from_spherical, normalize
-from manifold.records import Array
+from manifold.core.directions import from_spherical, normalize
+from manifold.core.records import Array
 
 ALPHAS = tuple(float(f"{a:.3g}") for a in np.geomspace(0.004, 0.9, 12))
 """Roughness of lobes that are tried: the nearest of them is at most 28 % off, which costs little variance."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from manifold.colour.lights import ENVIRONMENTS, environment
-from manifold.judged_lights import BALL
+from manifold.core.judged_lights import BALL
 from manifold.page.page import fill_page, joined_modules
 from manifold.shader import code
 from manifold.shader.table import ShaderTable

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from manifold.brdf.warp import Warp
 from manifold.brdf.wrapper import WrappedBRDF
 from manifold.colour.conversion import interpolation_matrix
-from manifold.pairs import Pairs, flat_samples
-from manifold.records import Array, Bands, BsdfFile
+from manifold.core.pairs import Pairs, flat_samples
+from manifold.core.records import Array, Bands, BsdfFile
 from manifold.shader.lobes import Lobes
 
 Halves = NDArray[np.float16]

@@ -18,7 +18,7 @@ from __future__ import annotations
 from typing import Any
 
 from manifold.colour.reflectances import NODES_NM
-from manifold.errors import UsageError
+from manifold.core.errors import UsageError
 from manifold.render import backend
 
 NAME = "surface"

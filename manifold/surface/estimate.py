@@ -10,7 +10,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.fft import dct, dst, idctn
 
 from manifold.brdf.interface import EvaluableBRDF
-from manifold.records import Array, Mask
+from manifold.core.records import Array, Mask
 from manifold.surface.lamp_pictures import SurfacePictures
 from manifold.surface.response import SLOPE_STD, THIRD_STD, Response, gain_of
 

@@ -16,25 +16,26 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
-from manifold import __version__, disk
-from manifold.batch import only_run_in
+from manifold import __version__
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.conversion import encode_srgb
 from manifold.colour.reflectances import spectral_changes
-from manifold.errors import UsageError
+from manifold.core import disk
+from manifold.core.errors import UsageError
+from manifold.core.judged_lights import BALL_COLUMN
+from manifold.core.progress import Stages
+from manifold.core.records import Array
+from manifold.core.results import Result, derived, entry
 from manifold.estimate.completions import Completed, complete, file_name
 from manifold.fit.exports.document import TextureFiles
 from manifold.fit.exports.principled_values import ior_to_f0
 from manifold.fit.exports.targets import Target
 from manifold.formats.readings import Readings
 from manifold.io_rgl import read_bsdf
-from manifold.judged_lights import BALL_COLUMN
 from manifold.library.store import Library
-from manifold.progress import Stages
-from manifold.records import Array
+from manifold.many.batch import only_run_in
 from manifold.registries import TARGETS as EXPORTS
 from manifold.render.images import write_display, write_image
-from manifold.results import Result, derived, entry
 from manifold.surface import preview
 from manifold.surface.estimate import Surface, brightest, estimate_surface
 from manifold.surface.lamp_pictures import SurfacePictures

@@ -10,13 +10,13 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter
 
-from manifold.colour.pictures import SUFFIXES, read_picture
-from manifold.errors import FileFormatError, UsageError
+from manifold.colour.picture_files import SUFFIXES, read_picture
+from manifold.core.errors import FileFormatError, UsageError
+from manifold.core.records import Array, Mask
 from manifold.estimate.lamps import read_lamps
 from manifold.estimate.picture_colours import colour_of, odd_picture, reading_at
 from manifold.formats.readings import Readings
 from manifold.formats.workbook_pictures import picture_directions, picture_geometry, picture_values
-from manifold.records import Array, Mask
 
 _LEAST_LAMPS = 3
 _LEAST_SIZE = 32  # pixels a side

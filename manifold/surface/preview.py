@@ -13,8 +13,8 @@ from scipy.ndimage import distance_transform_edt, map_coordinates
 from manifold.brdf.interface import EvaluableBRDF
 from manifold.colour import ball_colours
 from manifold.colour.conversion import to_srgb
-from manifold.directions import normalize
-from manifold.records import Array, Mask
+from manifold.core.directions import normalize
+from manifold.core.records import Array, Mask
 from manifold.surface import bsdf
 from manifold.surface.lamp_pictures import in_plane
 from manifold.surface.response import shaded

@@ -17,8 +17,8 @@ from itertools import pairwise
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from manifold.errors import UsageError
-from manifold.records import Array, Indices
+from manifold.core.errors import UsageError
+from manifold.core.records import Array, Indices
 
 _CELL_PX = 96  # of the grid
 _OVERLAP_PX = 32  # of neighbouring patches

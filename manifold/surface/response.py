@@ -17,7 +17,7 @@ import numpy as np
 
 from manifold.brdf.interface import EvaluableBRDF
 from manifold.colour.conversion import to_srgb
-from manifold.records import Array
+from manifold.core.records import Array
 from manifold.surface.lamp_pictures import SurfacePictures
 
 _ANGLES_DEG = np.array([-65.0, -30.0, 0.0, 30.0, 45.0, 60.0])  # positive on the mirror's side

@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 from manifold.analytic.base import AnalyticBRDF
 from manifold.analytic.ggx import GGX
-from manifold.records import Array, Bands, Indices, Mask
+from manifold.core.records import Array, Bands, Indices, Mask
 from manifold.surface.estimate import SPARKLE, Surface
 
 _PER = 1e4  # pixels that densities are counted by

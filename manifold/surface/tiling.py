@@ -15,8 +15,8 @@ from scipy.ndimage import (
     label,
 )
 
-from manifold.errors import UsageError
-from manifold.records import Array, Indices, Mask
+from manifold.core.errors import UsageError
+from manifold.core.records import Array, Indices, Mask
 from manifold.surface.estimate import Surface
 from manifold.surface.quilting import quilt
 

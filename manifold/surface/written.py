@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from manifold import disk
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.conversion import decode_srgb
-from manifold.directions import normalize
-from manifold.errors import FileFormatError, MissingFileError, UsageError
+from manifold.core import disk
+from manifold.core.directions import normalize
+from manifold.core.errors import FileFormatError, MissingFileError, UsageError
+from manifold.core.names import printable
+from manifold.core.records import Array
 from manifold.io_rgl import read_bsdf
-from manifold.names import printable
-from manifold.records import Array
 from manifold.render.images import read_display, read_image
 from manifold.surface.sparkle import DrawnFlakes, Flakes
 from manifold.surface.tiling import Textures

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from bench_goniometer import corpus_error
 
-from manifold import progress
 from manifold.analytic import corpus
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import quadrature_albedo
 from manifold.brdf.unmeasured_cells import unmeasured_cells, unmeasured_share
-from manifold.directions import from_spherical
-from manifold.errors import UsageError
+from manifold.core import progress
+from manifold.core.directions import from_spherical
+from manifold.core.errors import UsageError
+from manifold.core.records import Bands
 from manifold.io_rgl import read_bsdf, write_bsdf
-from manifold.records import Bands
 
 ISOTROPIC = {m.name: m for m in corpus.isotropic_materials()}
 FAMILIES = {

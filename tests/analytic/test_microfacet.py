@@ -15,9 +15,9 @@ from manifold.analytic.ggx import GGX, GGXMixture
 from manifold.analytic.layers import Immersed, Layered, MixedBRDF, Retroreflection
 from manifold.analytic.microfacet import Plastic, RoughConductor, RoughDielectric, ThinFilm
 from manifold.colour.reflectances import metal_ior
-from manifold.directions import from_spherical, half_vector, hemisphere_quadrature, normalize
-from manifold.errors import BandMismatchError, ShapeError, UsageError
-from manifold.records import Array, Bands
+from manifold.core.directions import from_spherical, half_vector, hemisphere_quadrature, normalize
+from manifold.core.errors import BandMismatchError, ShapeError, UsageError
+from manifold.core.records import Array, Bands
 
 BANDS = Bands((400.0, 550.0, 700.0))
 NM = np.array(BANDS.wavelengths_nm)

@@ -7,9 +7,9 @@ import pytest
 
 from manifold.analytic import corpus
 from manifold.brdf import to_xarray
-from manifold.directions import from_spherical
-from manifold.errors import ShapeError
-from manifold.records import Bands
+from manifold.core.directions import from_spherical
+from manifold.core.errors import ShapeError
+from manifold.core.records import Bands
 
 GOLD = next(m for m in corpus.isotropic_materials() if m.name == "syn_satin_gold").truth(
     Bands((450.0, 600.0))

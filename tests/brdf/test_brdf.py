@@ -18,10 +18,10 @@ from manifold.brdf import goniometer
 from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.warp import Warp
-from manifold.directions import from_spherical, hemisphere_quadrature
-from manifold.errors import ShapeError
+from manifold.core.directions import from_spherical, hemisphere_quadrature
+from manifold.core.errors import ShapeError
+from manifold.core.records import Bands
 from manifold.io_rgl import read_bsdf, write_bsdf
-from manifold.records import Bands
 
 PAIRS = 5_000
 ANISOTROPIC = {m.name for m in corpus.anisotropic_materials()}

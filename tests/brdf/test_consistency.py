@@ -15,8 +15,8 @@ from helpers.small_library import measured
 from manifold.analytic import GGX, Plastic, RoughConductor, corpus
 from manifold.brdf import goniometer
 from manifold.brdf.consistency import check_consistency
+from manifold.core.records import Bands, plain
 from manifold.io_rgl import read_bsdf
-from manifold.records import Bands, plain
 
 MATERIALS = ("syn_felt_green", "syn_metal_copper", "syn_paper_white")
 

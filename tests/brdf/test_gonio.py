@@ -11,11 +11,11 @@ from manifold.brdf import goniometer, unmeasured_cells
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import plausibility, plausibility_of_file
 from manifold.brdf.warp import Warp
-from manifold.directions import from_spherical, to_rusinkiewicz
-from manifold.errors import UsageError
+from manifold.core.directions import from_spherical, to_rusinkiewicz
+from manifold.core.errors import UsageError
+from manifold.core.records import Bands
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.model.output_file import output_file
-from manifold.records import Bands
 
 RGB = Bands(None)
 

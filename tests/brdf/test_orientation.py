@@ -13,11 +13,11 @@ from manifold.analytic.microfacet import RoughConductor
 from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.orientation import rotation_of
-from manifold.directions import from_spherical, rotate_z
-from manifold.mapping import CubeRoot
+from manifold.core.directions import from_spherical, rotate_z
+from manifold.core.mapping import CubeRoot
+from manifold.core.records import Bands, BsdfFile
 from manifold.model.combination import Combination
 from manifold.model.prediction import PredictedBRDF
-from manifold.records import Bands, BsdfFile
 
 
 @cache

@@ -17,8 +17,9 @@ from manifold.brdf.physical import AlbedoScaledBRDF, ReciprocalBRDF, physical_fi
 from manifold.brdf.plausibility import Plausibility, plausibility_of_file, quadrature_albedo
 from manifold.brdf.unmeasured_cells import Cells
 from manifold.brdf.warp import Warp
-from manifold.directions import HORIZON, from_spherical
-from manifold.errors import UsageError
+from manifold.core.directions import HORIZON, from_spherical
+from manifold.core.errors import UsageError
+from manifold.core.records import Bands
 from manifold.estimate.predictions import predict
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
@@ -26,7 +27,6 @@ from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
 from manifold.model.prediction import ClippedBRDF
 from manifold.model.settings import Settings
-from manifold.records import Bands
 
 BANDS = Bands((500.0, 600.0))
 

@@ -13,7 +13,7 @@ from manifold.brdf.plausibility import (
     profile_pairs,
     valley_depth,
 )
-from manifold.records import Bands
+from manifold.core.records import Bands
 
 
 def _highlight(wi, wo, hole):

@@ -13,9 +13,9 @@ from manifold.analytic.microfacet import Plastic
 from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import fill_unmeasured, unmeasured_cells, unmeasured_share
-from manifold.directions import from_spherical
+from manifold.core.directions import from_spherical
+from manifold.core.records import Bands
 from manifold.io_rgl import read_bsdf
-from manifold.records import Bands
 
 
 @pytest.fixture(scope="module")

@@ -20,11 +20,11 @@ from helpers.small_library import NAMES, measured, small_library, small_model
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.cli.application import COMMANDS, GROUPS
-from manifold.directions import from_spherical
+from manifold.core.directions import from_spherical
+from manifold.core.metrics import relative_error
 from manifold.formats.tensor_file import read_tensors, write_tensors
 from manifold.gp.encoding import encoding_pairs
 from manifold.io_rgl import read_bsdf, write_bsdf
-from manifold.metrics import relative_error
 from manifold.model.manifold import Manifold
 
 RUN = "import sys; from manifold.cli.main import run; run(sys.argv[1:])"
@@ -124,7 +124,7 @@ def test_mistyped_commands_and_options_are_usage_errors(run, tmp_path, arguments
         (["report", "-M", "x.txt"], 1, "unknown or damaged header"),
         (["report", "-M", "."], 1, "a folder, expected a model"),
         (["demo", "x.txt"], 1, "x.txt"),
-        (["budget", "--example", "felt", "-o", "felt.png"], 2, "expected a folder; --picture FILE"),
+        (["budget", "--example", "felt", "-o", "felt.png"], 2, "expected a folder; --picture draws"),
         (["corpus", "x.txt/sub"], 2, "cannot make this folder"),
         (["fetch", "satin_gold", "--base-url", "ftp://x"], 2, "http"),
     ],
@@ -149,10 +149,10 @@ def test_imports_embeddings_and_reports_say_in_json_what_they_did(run, tmp_path)
     assert json.loads((tmp_path / "i.json").read_text())["skipped"] == sorted(NAMES[:4])
     assert run("embed", "--json", "e.json", cwd=tmp_path)[0] == 0
     assert set(json.loads((tmp_path / "e.json").read_text())["latents"]) == set(NAMES[:4])
-    status, out, _ = run("report", "--json", "r.json", "--picture", "m.png", cwd=tmp_path)
+    status, out, _ = run("report", "--json", "r.json", "--picture", cwd=tmp_path)
     assert status == 0
     assert "synthetic" in out
-    assert (tmp_path / "m.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "model.png").read_bytes().startswith(b"\x89PNG")
     assert json.loads((tmp_path / "r.json").read_text())["methods"][0]["errors"]["rmse"] == [0.0] * 4
     assert "all hashes match" in run("info", "library.zarr", "--verify", cwd=tmp_path)[1]
 
@@ -183,7 +183,6 @@ def test_latents_that_are_none_are_usage_errors(run, folder, latent, words):
     "arguments",
     [
         ("info", "model.h5", "--json", "absent/x"), ("report", "--json", "library.zarr"),
-        ("report", "--picture", "absent/x.png"), ("report", "--picture", "x.txt"),
         ("embed", "-M", "absent/m.h5"), ("embed", "-M", "library.zarr"),
         *(("predict", "--latent", "0,0", "-o", f) for f in ("x.png", "absent/x.bsdf", "model.h5/x.bsdf", "_rgb.bsdf")),
     ],
@@ -274,7 +273,7 @@ def test_tiny_libraries_work_or_say_what_they_lack(run, tmp_path, count, latent_
         assert "import more" in one_line(err)
         return
     assert status == 0
-    status, out, err = run("report", "--picture", "map.png", "--json", "report.json", cwd=tmp_path)
+    status, out, err = run("report", "--picture", "--json", "report.json", cwd=tmp_path)
     if count == 2:
         assert status == 2
         assert "leave one out" in one_line(err)
@@ -512,15 +511,15 @@ DIAGNOSED = {
     [
         (["predict", "--latent", "0.3,-0.2", "-o", "d_rgb.bsdf"], lambda document: document),
         (
-            ["slices", "--latent", "0.3,-0.2"],
+            ["slices", "0.3,-0.2"],
             lambda document: document["predictions"]["predicted at 0.3,-0.2"],
         ),
         (["map", "--mark", "0.3,-0.2"], lambda document: document["prediction"]),
         (
-            ["render", "--latent", "0.3,-0.2", "--size", "16", "--samples", "1"],
+            ["render", "0.3,-0.2", "--size", "16", "--samples", "1"],
             lambda document: document["prediction"],
         ),
-        (["fit", "--latent", "0.3,-0.2", "--free", "roughness"], lambda document: document["predictions"][0]),
+        (["fit", "0.3,-0.2", "--free", "roughness"], lambda document: document["predictions"][0]),
         (
             ["walk", "syn_felt_green", "syn_gloss_red", "--steps", "3"],
             lambda document: document["predictions"][0],
@@ -556,15 +555,3 @@ def test_no_help_shows_more_than_twenty_options(run, tmp_path, command):
     assert len(shown) <= 20
     assert set(shown) <= set(every)
     assert ("--help-all" in out) == (len(shown) < len(every))
-
-
-def test_a_place_by_its_old_option_still_works_with_a_note(run, folder):
-    status, _, err = run("slices", "--latent", "0,0", "-o", "old.png", cwd=folder)
-    assert status == 0
-    assert "--latent 0,0 is now the argument 0,0" in err
-
-
-def test_the_old_name_of_the_gplvm_works_with_a_note(run, tmp_path):
-    status, _, err = run("embed", "--kind", "material", cwd=tmp_path)
-    assert "embed --kind material is now --kind gplvm" in err
-    assert status == 1  # there is no library

@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 from helpers.small_library import NAMES, measured, small_model
 
-from manifold import recognition
-from manifold.errors import FileFormatError
-from manifold.formats import tensor_file
+from manifold.core.errors import FileFormatError
+from manifold.formats import recognition, tensor_file
+from manifold.formats.recognition import Kind, kind_of
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.model.model_file import read_model
-from manifold.recognition import Kind, kind_of
 
 NAME = NAMES[0]
 

@@ -9,7 +9,7 @@ import sys
 import pytest
 from helpers.small_library import NAMES, small_library
 
-from manifold.extras import EXTRAS
+from manifold.core.extras import EXTRAS
 
 CORE_ALONE = """
 import contextlib, io, json, sys
@@ -49,14 +49,14 @@ WORKS = {
     "find": ["find", "--lab", "50,20,10"],
     "report": ["report"],
     "fit": ["fit", "made.bsdf", "--free", "roughness"],
-    "explore --html": ["explore", "--html", "map.html"],
+    "explore -o": ["explore", "-o", "map.html"],
 }
 NEEDS = {
     "map": (["map"], "plots"),
     "slices": (["slices", "made.bsdf"], "plots"),
-    "report --picture": (["report", "--picture", "map.png"], "plots"),
+    "report --picture": (["report", "--picture"], "plots"),
     "render": (["render", "made.bsdf"], "render"),
-    "fetch": (["fetch", "cardboard", "--to", "rgl"], "fetch"),
+    "fetch": (["fetch", "cardboard", "-o", "rgl"], "fetch"),
     "explore": (["explore", "--no-browser"], "page"),
     "predict --scheduler": (
         ["predict", "--from", "places.csv", "--scheduler", "tcp://127.0.0.1:1"],

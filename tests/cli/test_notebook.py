@@ -13,15 +13,15 @@ from helpers.small_library import NAMES, measured, small_library, small_model
 from manifold.analytic import Lambert
 from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.directions import from_spherical
-from manifold.errors import FileFormatError, ManifoldError, ShapeError, UsageError
+from manifold.core.directions import from_spherical
+from manifold.core.errors import FileFormatError, ManifoldError, ShapeError, UsageError
+from manifold.core.records import Bands
 from manifold.fit.principled import fit_bsdf
 from manifold.formats import read_readings
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.importing import import_files
 from manifold.model.manifold import Manifold, Settings
-from manifold.records import Bands
 from manifold.render.ball import render_ball
 
 

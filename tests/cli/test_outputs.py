@@ -32,7 +32,7 @@ def test_columns_of_a_table_are_straight_whatever_script_its_cells_are_in(capsys
 
 
 @pytest.mark.parametrize(
-    "arguments", [("explore", "--html"), ("fit", f"files/{NAMES[0]}_rgb.bsdf", "-o"), ("embed", "-o")]
+    "arguments", [("explore", "-o"), ("fit", f"files/{NAMES[0]}_rgb.bsdf", "-o"), ("embed", "-o")]
 )
 def test_a_dash_is_no_file_s_name(run, folder, arguments):
     status, out, err = run(*arguments, "-", cwd=folder)
@@ -50,8 +50,8 @@ def test_outputs_that_would_destroy_inputs_are_refused_and_leave_them(run, folde
         ("is an input of this command", ("info", "model.h5", "--json", "link")),
         ("in the library", ("info", "library.zarr", "--json", "library.zarr/zarr.json")),
         ("in the library", ("info", "library.zarr", "--json", "library.zarr/materials/new.json")),
-        ("name two files", ("report", "--picture", "x.png", "--json", "x.png")),
-        ("is an input of this command", ("explore", "--html", "model.h5")),
+        ("name two files", ("report", "--picture", "--json", "model.png")),
+        ("is an input of this command", ("explore", "-o", "model.h5")),
         ("is an input of this command", ("convert", file, "-o", "x.csv", "--report", file)),
         ("in the library", ("embed", "-o", "library.zarr/model.h5")),
     ):
@@ -80,7 +80,7 @@ def test_outputs_that_nobody_named_destroy_nothing_either(run, folder):
 
 @pytest.mark.parametrize(
     "arguments",
-    [("corpus",), ("demo",), ("fetch", "--to"), ("fit", "files", "-o"), ("export", "files", "-o")],
+    [("corpus",), ("demo",), ("fetch", "-o"), ("fit", "files", "-o"), ("export", "files", "-o")],
 )
 @pytest.mark.parametrize("place", ["library.zarr", "library.zarr/materials/new"])
 def test_no_command_writes_its_files_into_a_library(run, folder, arguments, place):

@@ -117,7 +117,7 @@ def test_the_tour_of_the_reference_runs(tmp_path, monkeypatch):
     assert Path("halfway_spec.bsdf").is_file()
     wi, wo = names["wi"], names["wo"]
     read, completed = (names[name].eval(wi, wo) for name in ("brdf", "completed"))
-    assert manifold.metrics.cube_root_error(read, completed) < 0.05  # at what was read
+    assert manifold.core.metrics.cube_root_error(read, completed) < 0.05  # at what was read
     assert names["found"].relative_error < 0.05  # of the library itself: the posterior beside the material
     assert Path("corpus.h5").is_file()
     n = len(NAMES)

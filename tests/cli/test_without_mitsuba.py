@@ -28,7 +28,7 @@ for words in json.loads(sys.argv[1]):
             status = leaving.code
     print(json.dumps([status, out.getvalue(), err.getvalue()]))
 from manifold.analytic import corpus
-from manifold.records import Bands
+from manifold.core.records import Bands
 every = (*corpus.isotropic_materials(), *corpus.anisotropic_materials())
 print(len([material.truth(Bands((450.0, 550.0, 650.0))) for material in every]))
 """

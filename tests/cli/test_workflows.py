@@ -16,26 +16,26 @@ from helpers.paths import real_rgl_files
 from helpers.quick_pictures import draw_quickly
 from helpers.small_library import small_model
 
-from manifold import demo as demo_module
 from manifold.analytic import corpus
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.cli import demo as demo_module
 from manifold.cli.main import app
-from manifold.directions import from_spherical
+from manifold.core.directions import from_spherical
 from manifold.estimate.predictions import predict
 from manifold.evaluate import embed, make_report
-from manifold.evaluate.budget import budgets, example_scenes
 from manifold.evaluate.methods import chart_methods
 from manifold.evaluate.report_text import lead
 from manifold.evaluate.seen_fits import METHODS
-from manifold.evaluate.stability.catalogue import MODES
-from manifold.fit import comparison
 from manifold.io_rgl import read_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.colours import ColourChoice
 from manifold.model.manifold import Manifold, Settings
+from manifold.pictures import fit_comparison as comparison
 from manifold.render.images import read_image
 from manifold.render.render import RenderSettings
+from manifold.study.budget import budgets, example_scenes
+from manifold.study.stability.catalogue import MODES
 
 FEW = {"syn_satin_gold", "syn_metallic_gold", "syn_paper_white", "syn_felt_yellow"}
 CHARTED_AND_TRIED = demo_module.CHARTED, demo_module.TRIED  # tests below have less

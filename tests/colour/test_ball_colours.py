@@ -10,8 +10,8 @@ from helpers import small_library
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour import ball_colours
 from manifold.colour.conversion import srgb_to_xyz
+from manifold.core.records import Bands
 from manifold.io_rgl import write_bsdf
-from manifold.records import Bands
 
 RGB = Bands(None)
 PIXELS, FINER = 10, 9  # the render has a pixel at the centre of each of the ball's

@@ -19,10 +19,10 @@ from manifold.colour.difference import (
     to_lab,
 )
 from manifold.colour.illuminants import Illuminant, illuminant_power
-from manifold.errors import ShapeError, UsageError
+from manifold.core.errors import ShapeError, UsageError
+from manifold.core.records import Bands
 from manifold.formats.readings import Viewing
 from manifold.io_rgl import rgl_wavelengths_nm
-from manifold.records import Bands
 
 RGB = Bands(None)
 SPECTRAL = Bands(tuple(rgl_wavelengths_nm()))

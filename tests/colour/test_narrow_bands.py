@@ -18,9 +18,9 @@ from manifold.colour.narrow_bands import (
     with_spectra,
 )
 from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
-from manifold.directions import from_spherical
+from manifold.core.directions import from_spherical
+from manifold.core.records import Array, Bands
 from manifold.formats.readings import Readings
-from manifold.records import Array, Bands
 
 NARROW = Bands((465.0, 525.0, 630.0))
 FINE_NM = np.arange(400.0, 701.0, 1.0)

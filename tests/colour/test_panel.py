@@ -7,8 +7,8 @@ import pytest
 
 from manifold.colour import ball_colours, panel
 from manifold.colour.conversion import srgb_to_xyz
-from manifold.pairs import Pairs
-from manifold.records import Bands
+from manifold.core.pairs import Pairs
+from manifold.core.records import Bands
 
 RGB = Bands(None)
 

@@ -14,8 +14,8 @@ import tifffile
 from PIL import Image, ImageCms
 
 from manifold.colour.conversion import SRGB_TO_XYZ, decode_srgb
-from manifold.colour.pictures import read_picture
-from manifold.errors import FileFormatError, MissingPackageError
+from manifold.colour.picture_files import read_picture
+from manifold.core.errors import FileFormatError, MissingPackageError
 
 
 @pytest.fixture

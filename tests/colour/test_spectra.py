@@ -28,9 +28,9 @@ from manifold.colour.reflectances import (
     metal_ior,
     metal_names,
 )
-from manifold.errors import ShapeError, UsageError
+from manifold.core.errors import ShapeError, UsageError
+from manifold.core.records import Bands
 from manifold.io_rgl import rgl_wavelengths_nm
-from manifold.records import Bands
 
 WAVELENGTHS = rgl_wavelengths_nm()
 BANDS = Bands.from_array(WAVELENGTHS)

@@ -23,13 +23,13 @@ from manifold.convert.source import open_source
 from manifold.convert.tabulated import ReadingsBRDF
 from manifold.convert.targets import Options
 from manifold.convert.targets import _share as share
-from manifold.directions import from_spherical
-from manifold.errors import UsageError
+from manifold.core.directions import from_spherical
+from manifold.core.errors import UsageError
+from manifold.core.metrics import cube_root_error
+from manifold.core.records import Bands
 from manifold.formats import astm, csv_table, lighttools, merl, registry
 from manifold.formats.readings import Readings, Viewing
 from manifold.io_rgl import read_bsdf, write_bsdf
-from manifold.metrics import cube_root_error
-from manifold.records import Bands
 
 GONIOMETERS = ("mini-diff", "lighttools", "zemax", "merl", "utia")
 

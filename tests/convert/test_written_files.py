@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+import struct
 from typing import NamedTuple
 
 import numpy as np
@@ -19,8 +20,8 @@ from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.conversion import luminance, to_srgb
 from manifold.convert.conversion import convert
+from manifold.core.records import Bands
 from manifold.io_rgl import read_bsdf, write_bsdf
-from manifold.records import Bands
 from manifold.registries import CONVERTED
 
 BANDS = Bands((450.0, 520.0, 590.0, 650.0))
@@ -216,6 +217,20 @@ def read_utia(path):
     return Written("sRGB", wi, wo, planes.reshape(3, -1).T[::5])
 
 
+def read_mbsdf(path):
+    """Every seventh elevation and azimuth."""
+    content = path.read_bytes()
+    mark = b"\nMBSDF_DATA_REFLECTION=\n"
+    head, data = content.split(mark, 1)
+    assert head.split(b"\n")[0] == b"NVIDIA ARC MBSDF V1"
+    assert all(len(line) < 1023 for line in head.split(b"\n"))  # the longest line that the SDK reads
+    kind, thetas, phis = struct.unpack_from("<3I", data)
+    assert (kind, thetas, phis, len(data)) == (1, 45, 90, 12 + 4 * 45 * 45 * 90 * 3)
+    i, o, p = (a.ravel() for a in np.meshgrid(*(range(0, n, 7) for n in (45, 45, 90)), indexing="ij"))
+    values = np.frombuffer(data, "<f4", offset=12).reshape(-1, 3)[i * (phis * thetas) + o * phis + p]
+    return Written("sRGB", spherical(2.0 * i + 1.0, 0.0), spherical(2.0 * o + 1.0, 2.0 * p + 1.0), values)
+
+
 def read_bird(path):
     data = json.loads(path.read_text())["data"]
     rows = {key: np.array(one["values"]) for key, one in data.items()}
@@ -227,7 +242,7 @@ def read_bird(path):
 READERS = {
     "zemax": read_zemax, "lighttools": read_lighttools, "fred": read_fred, "speos": read_speos,
     "speos-anisotropic": read_speos_anisotropic, "openmaterial": read_openmaterial, "bird": read_bird,
-    "astm": read_astm, "csv": read_csv, "merl": read_merl, "utia": read_utia,
+    "astm": read_astm, "csv": read_csv, "merl": read_merl, "utia": read_utia, "mbsdf": read_mbsdf,
 }  # fmt: skip
 
 
@@ -273,7 +288,7 @@ def test_what_is_written_is_the_brdf_node_by_node_and_in_sum(name, source, brdf,
     assert np.all(found.values[~above] == 0.0)
     wi, wo, values = found.wi[above], found.wo[above], found.values[above]
     f = brdf.eval(lifted(wi), lifted(wo))  # nodes at the horizon are no brighter than their neighbours
-    if name == "merl":  # one node stands for both orders
+    if name in {"merl", "mbsdf"}:  # one node stands for both orders
         f = 0.5 * (f + brdf.eval(lifted(wo), lifted(wi)))
     expected = np.maximum(as_written(found.kind, f), 0.0)
     # Angles of six digits, values of seven, tables in single precision; matrices of XYZ of four digits.

@@ -14,8 +14,9 @@ from manifold.analytic.microfacet import Plastic
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.difference import lab_under_d65
 from manifold.colour.narrow_bands import in_daylight
-from manifold.directions import from_spherical
-from manifold.errors import ManifoldError, UsageError
+from manifold.core.directions import from_spherical
+from manifold.core.errors import ManifoldError, UsageError
+from manifold.core.records import Bands
 from manifold.estimate.attributes import (
     COLOUR_TOLERANCE,
     GLOSS_TOLERANCE,
@@ -34,7 +35,6 @@ from manifold.formats.readings import Readings, Viewing
 from manifold.io_rgl import read_bsdf
 from manifold.model.manifold import Manifold, Settings
 from manifold.model.places import Place
-from manifold.records import Bands
 
 
 @pytest.fixture(scope="module")

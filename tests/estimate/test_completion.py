@@ -21,8 +21,10 @@ from manifold.brdf.plausibility import Plausibility
 from manifold.colour import panel
 from manifold.colour.conversion import luminance
 from manifold.colour.narrow_bands import SPECTRUM
-from manifold.directions import from_spherical
-from manifold.errors import BandMismatchError, LibraryError, UsageError
+from manifold.core.directions import from_spherical
+from manifold.core.errors import BandMismatchError, LibraryError, UsageError
+from manifold.core.metrics import Errors, cube_root_error
+from manifold.core.records import Bands
 from manifold.estimate import Completion, calibrate, expected, suggest
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.channels import in_channels, srgb_responses
@@ -47,10 +49,8 @@ from manifold.formats.readings import mean_of_repeats
 from manifold.gp.encoding import encoding_pairs
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
-from manifold.metrics import Errors, cube_root_error
 from manifold.model.output_file import COMPLETION_OPTIONS, output_file
 from manifold.model.prediction import ClippedBRDF
-from manifold.records import Bands
 
 APART = np.arange(9.0)[:, None] * np.full(3, 50.0)
 """Coordinates of nine readings without correlation."""

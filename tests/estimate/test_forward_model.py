@@ -12,7 +12,7 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.ball_colours import delta_e
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.lights import ENVIRONMENTS, environment
-from manifold.errors import UsageError
+from manifold.core.errors import UsageError
 from manifold.estimate.outlines import Circle, Photograph
 from manifold.estimate.pixels import Camera, Environment, block_sums, blocks_of, direction_pairs
 from manifold.io_rgl import write_bsdf

@@ -15,7 +15,9 @@ from scipy.integrate import dblquad
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility
 from manifold.colour import panel
-from manifold.errors import FileFormatError, ShapeError, UsageError
+from manifold.core.errors import FileFormatError, ShapeError, UsageError
+from manifold.core.metrics import Errors
+from manifold.core.records import Bands
 from manifold.estimate import Completion, calibrate, completions
 from manifold.estimate.completions import Completed, parse_gloss
 from manifold.estimate.expected import errors_of, leave_out
@@ -26,9 +28,7 @@ from manifold.formats.column_heads import gloss_angle
 from manifold.formats.readings import GLOSS_ANGLES_DEG, MOST_GLOSS
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
-from manifold.metrics import Errors
 from manifold.model.output_file import OutputOptions
-from manifold.records import Bands
 
 RECEPTORS_DEG = {20: (1.8, 3.6), 60: (4.4, 11.7), 85: (4.0, 6.0)}
 

@@ -13,8 +13,9 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.conversion import interpolation_matrix
 from manifold.colour.correction import learn_correction, read_correction, write_correction
 from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
-from manifold.directions import from_spherical
-from manifold.errors import BandMismatchError, FileFormatError, UsageError
+from manifold.core.directions import from_spherical
+from manifold.core.errors import BandMismatchError, FileFormatError, UsageError
+from manifold.core.records import Bands
 from manifold.estimate import instruments
 from manifold.estimate.instruments import CalibratedInstrument, between_measurements, correct_colours, merge
 from manifold.formats import csv_table
@@ -22,7 +23,6 @@ from manifold.formats.readings import MA_T12_NAMES, Readings
 from manifold.formats.registry import read_readings
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
-from manifold.records import Bands
 
 CAMERA = Bands((465.0, 525.0, 630.0))
 

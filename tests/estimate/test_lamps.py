@@ -13,8 +13,10 @@ from manifold.analytic.microfacet import Plastic, RoughConductor
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.conversion import decode_srgb, encode_srgb
 from manifold.colour.lights import environment
-from manifold.directions import from_spherical
-from manifold.errors import ManifoldError, UsageError
+from manifold.core.directions import from_spherical
+from manifold.core.errors import ManifoldError, UsageError
+from manifold.core.metrics import Errors
+from manifold.core.records import Bands
 from manifold.estimate import Completion, lamp_plan
 from manifold.estimate.completions import Completed, odd_pictures
 from manifold.estimate.lamp_plan import plan_lamps
@@ -34,8 +36,6 @@ from manifold.estimate.sightings import PhotoRequest, SeenBall, Sighting, see
 from manifold.estimate.solving import CONTRADICTION, strength_of_spots
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.io_rgl import read_bsdf
-from manifold.metrics import Errors
-from manifold.records import Bands
 
 PAINT = Plastic(GGX.isotropic(0.2), np.array(1.5), np.array([0.3, 0.4, 0.5]), Bands(None))
 SIZE, MARGIN = 96, 0.25

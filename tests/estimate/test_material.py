@@ -11,7 +11,8 @@ import pytest
 
 from manifold.analytic.free_lobes import bernstein, cos_theta_d, microfacet_lobe
 from manifold.colour.lights import environment
-from manifold.directions import from_spherical
+from manifold.core.directions import from_spherical
+from manifold.core.records import Bands
 from manifold.estimate import Completion, calibrate, expected
 from manifold.estimate.channels import wiener_matrix
 from manifold.estimate.evidence import seen_instead
@@ -25,7 +26,6 @@ from manifold.estimate.solving import estimate
 from manifold.formats.readings import Readings
 from manifold.library.store import Library
 from manifold.model.estimator import Observation
-from manifold.records import Bands
 
 SIZE, MARGIN = 96, 0.3
 RGB = Bands(None)

@@ -16,8 +16,9 @@ from manifold.analytic import corpus
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.conversion import encode_srgb, interpolation_matrix
 from manifold.colour.lights import environment
-from manifold.colour.pictures import read_picture
-from manifold.directions import from_spherical
+from manifold.colour.picture_files import read_picture
+from manifold.core.directions import from_spherical
+from manifold.core.records import Bands
 from manifold.estimate import completions, descriptions, photographs, sightings
 from manifold.estimate.attributes import lab_of
 from manifold.estimate.channels import read_responses
@@ -29,8 +30,7 @@ from manifold.model.comparison import brdf_errors
 from manifold.model.manifold import Manifold, Settings
 from manifold.model.output_file import OutputOptions
 from manifold.model.prediction import ClippedBRDF
-from manifold.plots import figures
-from manifold.records import Bands
+from manifold.pictures import figures
 from manifold.render.images import write_image
 from manifold.render.render import render_floating_ball
 
@@ -91,27 +91,6 @@ def test_readings_photograph_and_gloss_are_one_estimate(run, folder, library):
     assert document["gloss"]["60"]["read"] == pytest.approx(units, abs=0.05)
     assert (document["readings"], len(document["misfits_ciede2000"])) == (1, 1)
     assert "% predicted from only the photographs" in " ".join(out.split())
-
-
-def test_the_old_spelling_still_completes_a_photograph(run, folder, library):
-    code, _, err = run(
-        "complete", "--photo", "ball.exr", "--light", "light.exr", "-L", library, "-o", "old.bsdf", cwd=folder
-    )
-    assert code == 0, err
-    assert "complete --photo is now manifold photograph" in err
-    assert (folder / "old.bsdf").is_file()
-
-
-def test_a_photograph_is_located_near_its_material(run, folder, library):
-    code, out, err = run(
-        "locate", "--photo", "ball.exr", "--light", "studio", "--distance", 8, "--circle", "64,64,49.2",
-        "--library", library, "-o", "there.bsdf", cwd=folder,
-    )  # fmt: skip
-    assert code == 0, err
-    assert "locate --photo is now manifold photograph" in err
-    assert "satin_gold" in out.split("nearest")[1].split("\n")[0]
-    assert "reconstruction error" in out
-    assert np.isfinite(read_bsdf(folder / "there.bsdf").spectra).all()
 
 
 def test_errors_of_a_located_photograph_are_those_of_the_physical_file(folder, library):

@@ -8,7 +8,7 @@ import tifffile
 from PIL import Image
 
 from manifold.colour.conversion import decode_srgb
-from manifold.errors import FileFormatError, UsageError
+from manifold.core.errors import FileFormatError, UsageError
 from manifold.estimate.outlines import Circle, find_outlines, read_photograph
 from manifold.render import images
 

@@ -14,7 +14,7 @@ from manifold.analytic.virtual_instruments import MA_T12_BANDS, ma_t12_readings
 from manifold.estimate import reports
 from manifold.formats import csv_table
 from manifold.formats.readings import aspecular_pair, geometry_ma_t12
-from manifold.plots import html_page
+from manifold.pictures import html_page
 
 
 def rows(page: str) -> list[list[str]]:

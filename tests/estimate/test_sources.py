@@ -16,7 +16,8 @@ from manifold.brdf import physical
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import mirror_difference
 from manifold.brdf.unmeasured_cells import fill_unmeasured
-from manifold.errors import MissingFileError, UnknownNameError
+from manifold.core.errors import MissingFileError, UnknownNameError
+from manifold.core.names import percent
 from manifold.estimate import completions, descriptions, predictions
 from manifold.estimate.attributes import readings_of_colour
 from manifold.estimate.gloss import gloss_units
@@ -31,9 +32,8 @@ from manifold.model.comparison import brdf_errors
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
 from manifold.model.settings import Settings
-from manifold.names import percent
+from manifold.pictures import map_figure
 from manifold.pictures.renders import ball_material
-from manifold.plots import map_figure
 
 NAME, OTHER = NAMES[:2]
 FILE = f"files/{NAME}_rgb.bsdf"
@@ -205,7 +205,6 @@ def test_several_kinds_are_fitted_into_one_folder(run, folder):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("render", NAME, "--latent", "0,0"), f"{NAME} and --latent 0,0 are given; give one"),
         (("render",), "no material is given; give one"),
         (("render", NAME, "--like", OTHER), "--like, --reflectance and --srgb go with predictions"),
         (("compare", "0,0", "syn_felt_gren"), "did you mean"),

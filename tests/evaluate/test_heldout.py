@@ -9,7 +9,9 @@ from helpers.reference import left_out
 from helpers.small_library import NAMES, measured, spectral_materials
 
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.errors import ShapeError
+from manifold.core.errors import ShapeError
+from manifold.core.metrics import cube_root_error, relative_error, rmse
+from manifold.core.pairs import RusinkiewiczGrid
 from manifold.evaluate.baselines import fit_pca
 from manifold.evaluate.cross_validation import cross_validate, encode_all, leave_out
 from manifold.evaluate.errors import measure_errors, standardised_error
@@ -18,9 +20,7 @@ from manifold.evaluate.method_data import Data
 from manifold.evaluate.methods import STANDARD, standard_methods
 from manifold.gplvm import GPLVM
 from manifold.io_rgl import read_bsdf
-from manifold.metrics import cube_root_error, relative_error, rmse
 from manifold.model.combination import Combination, Values, evaluate
-from manifold.pairs import RusinkiewiczGrid
 from manifold.registries import MAPPINGS
 
 GRID = RusinkiewiczGrid(14, 8, 6)

@@ -9,6 +9,7 @@ from helpers.reference import left_out
 from helpers.small_library import NAMES, measured, spectral_materials
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.core.pairs import RusinkiewiczGrid
 from manifold.evaluate.cross_validation import encode_all
 from manifold.evaluate.errors import measure_errors
 from manifold.evaluate.method_data import Data
@@ -16,7 +17,6 @@ from manifold.evaluate.methods import standard_methods
 from manifold.io_rgl import read_bsdf
 from manifold.model.materials import MaterialTable
 from manifold.model.prediction import PredictedBRDF
-from manifold.pairs import RusinkiewiczGrid
 
 METHODS = {m.key: m for m in standard_methods()}
 KEYS = ["nonnegative", "few_atoms"]

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from helpers.readings import readings
 
-from manifold import progress
-from manifold.errors import UsageError
+from manifold.core import progress
+from manifold.core.errors import UsageError
+from manifold.core.metrics import Errors
 from manifold.estimate.expected import errors_of, leave_out
-from manifold.evaluate.chart_figure import readings_chart
 from manifold.evaluate.readings import Curve, measure_curves
 from manifold.library.store import Library
-from manifold.metrics import Errors
+from manifold.study.chart_figure import readings_chart
 
 
 def test_curves_of_readings_are_those_of_completions(atoms):

@@ -12,9 +12,11 @@ from helpers.reference import left_out
 from helpers.small_library import NAMES, measured, small_library, spectral_files
 from matplotlib.transforms import Bbox
 
-from manifold import pairs
 from manifold.brdf.plausibility import plausibility
 from manifold.colour.difference import colour_differences, multi_angle_pairs
+from manifold.core import pairs
+from manifold.core.metrics import cube_root_error, relative_error, rmse
+from manifold.core.pairs import RusinkiewiczGrid, cosine_weight
 from manifold.evaluate import method_data, report
 from manifold.evaluate.cross_validation import encode_all
 from manifold.evaluate.method_data import Data
@@ -25,12 +27,10 @@ from manifold.gp.encoding import encoding_pairs
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
-from manifold.metrics import cube_root_error, relative_error, rmse
 from manifold.model.decoding import appearance_pairs
 from manifold.model.manifold import Manifold, Settings
 from manifold.model.materials import MaterialCache, MaterialTable
-from manifold.pairs import RusinkiewiczGrid, cosine_weight
-from manifold.plots import figures, map_figure
+from manifold.pictures import figures, map_figure
 
 KINDS = ("material",)
 
@@ -394,7 +394,7 @@ def test_names_on_the_map_do_not_cover_each_other(model):
 
 @pytest.mark.parametrize("suffix", [".xyz", ""])
 def test_unknown_picture_formats_are_refused(model, tmp_path, suffix):
-    from manifold.errors import UsageError
+    from manifold.core.errors import UsageError
 
     with pytest.raises(UsageError, match="picture format"):
         figures.save(map_figure.latent_map(model), tmp_path / f"map{suffix}")

@@ -7,11 +7,11 @@ import pytest
 from helpers.small_library import NAMES, measured
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.core.pairs import RusinkiewiczGrid
 from manifold.evaluate import seen_fits
 from manifold.evaluate.cross_validation import encode_all
 from manifold.evaluate.errors import measure_errors
 from manifold.evaluate.method_data import Data
-from manifold.pairs import RusinkiewiczGrid
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from helpers.small_library import measured
 
 from manifold.analytic import corpus
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.errors import UsageError
+from manifold.core.errors import UsageError
 from manifold.evaluate.selection import PAYS, choose
 from manifold.model.settings import Settings
 from manifold.registries import MAPPINGS

@@ -12,7 +12,7 @@ from test_export_files import MATERIALS, export, written
 
 from manifold.colour import ball_colours
 from manifold.colour.conversion import srgb_to_xyz
-from manifold.directions import normalize
+from manifold.core.directions import normalize
 from manifold.fit.exports import blender
 from manifold.fit.exports.lobes import ShadingPairs
 from manifold.registries import TARGETS

@@ -23,15 +23,15 @@ from helpers.three_js import EDGE, SIZE, ThreeJs, node_modules
 
 from manifold.colour import ball_colours
 from manifold.colour.conversion import srgb_to_xyz
-from manifold.directions import normalize
-from manifold.errors import UsageError
+from manifold.core.directions import normalize
+from manifold.core.errors import UsageError
+from manifold.core.metrics import Errors
 from manifold.fit.exports import blender, gltf, materialx, openpbr, preview_surface, standard_surface
 from manifold.fit.exports.document import Export
 from manifold.fit.exports.lobes import ShadingPairs
 from manifold.fit.exports.principled_values import Principled
 from manifold.fit.exports.targets import target_of
 from manifold.fit.exports.usd import OPENPBR_ID
-from manifold.metrics import Errors
 from manifold.registries import TARGETS
 
 NO_USD = "USD is not installed (pip install usd-exchange, or usd-core)"

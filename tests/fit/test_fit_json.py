@@ -14,13 +14,13 @@ import pytest
 from helpers.small_library import measured, small_model
 from typer.testing import CliRunner
 
-from manifold import work
 from manifold.analytic.base import Lambert
-from manifold.batch import batch
 from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.cli.main import app
-from manifold.errors import FileFormatError
+from manifold.core import work
+from manifold.core.errors import FileFormatError
+from manifold.core.records import Bands
 from manifold.estimate.inputs import find_inputs
 from manifold.estimate.sources import FileSource
 from manifold.fit import fits
@@ -28,7 +28,7 @@ from manifold.fit.fit_samples import FitSamples, from_brdf
 from manifold.fit.fits import FitSettings
 from manifold.fit.principled import fit_bsdf
 from manifold.io_rgl import write_bsdf
-from manifold.records import Bands
+from manifold.many.batch import batch
 from manifold.render import backend, fit_json
 from manifold.render.bsdf_evaluation import evaluator
 from manifold.render.bsdf_parameters import diffuse, principled

@@ -10,16 +10,16 @@ from helpers.small_library import measured, small_model
 from matplotlib.image import imread
 
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.directions import from_spherical
+from manifold.core.directions import from_spherical
 from manifold.estimate.source_files import source_file
 from manifold.estimate.sources import FileSource, PlaceSource
 from manifold.fit import fits
-from manifold.fit.comparison import picture_of_fit
 from manifold.fit.fits import FitSettings
 from manifold.io_rgl import write_bsdf
+from manifold.pictures.fit_comparison import picture_of_fit
 from manifold.pictures.maps import sources
 from manifold.pictures.renders import compare
-from manifold.plots.slice_figures import angle_slices
+from manifold.pictures.slice_figures import angle_slices
 from manifold.render.ball import read_material
 from manifold.render.bsdf_parameters import principled
 from manifold.render.fitted_brdf import FittedBRDF

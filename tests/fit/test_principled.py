@@ -16,8 +16,10 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour import panel
 from manifold.colour.conversion import to_srgb
-from manifold.directions import from_spherical
-from manifold.errors import ManifoldError, UsageError
+from manifold.core.directions import from_spherical
+from manifold.core.errors import ManifoldError, UsageError
+from manifold.core.pairs import RusinkiewiczGrid
+from manifold.core.records import Bands
 from manifold.fit import fit_samples
 from manifold.fit.adam_and_swarm import AdamOptions, SwarmOptions
 from manifold.fit.fit_metrics import METRICS, Criterion, Metric, best_diffuse
@@ -26,8 +28,6 @@ from manifold.fit.gauss_newton import GaussNewton, Minimum, select_minima
 from manifold.fit.identifiability import AMBIGUOUS, DETERMINED, UNSEEN
 from manifold.fit.principled import fit_bsdf
 from manifold.io_rgl import read_bsdf
-from manifold.pairs import RusinkiewiczGrid
-from manifold.records import Bands
 from manifold.render import backend
 from manifold.render.bsdf_evaluation import LaneEvaluator, evaluator
 from manifold.render.bsdf_parameters import BsdfFamily, FreeParameter, Layout, principled

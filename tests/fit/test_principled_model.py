@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from manifold.analytic.principled import DEFAULTS
-from manifold.directions import from_spherical
-from manifold.errors import UsageError
-from manifold.records import Bands
+from manifold.core.directions import from_spherical
+from manifold.core.errors import UsageError
+from manifold.core.records import Bands
 from manifold.render import backend
 from manifold.render.bsdf_evaluation import AnalyticEvaluator, bsdf_dict, evaluator, is_analytic
 from manifold.render.bsdf_parameters import BsdfFamily, FreeParameter, diffuse, principled

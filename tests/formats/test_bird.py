@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manifold.directions import from_spherical
-from manifold.errors import FileFormatError
+from manifold.core.directions import from_spherical
+from manifold.core.errors import FileFormatError
 from manifold.formats import bird, registry
 from manifold.formats.readings import Readings
 

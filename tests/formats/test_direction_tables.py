@@ -10,12 +10,12 @@ import pytest
 from helpers.instrument_files import SUFFIXES, dense, lighttools_axes, smooth
 from helpers.paths import REPOSITORY
 
-from manifold.directions import from_spherical
-from manifold.errors import FileFormatError, UsageError
+from manifold.core.directions import from_spherical
+from manifold.core.errors import FileFormatError, UsageError
+from manifold.core.records import Array, Bands
 from manifold.formats import fred, lighttools, openmaterial, registry, speos, utia
 from manifold.formats.column_heads import RELATIVE, angle_name, value_head, wavelength
 from manifold.formats.readings import UNITS
-from manifold.records import Array, Bands
 
 BLACK_LAB = REPOSITORY.parent / "shared" / "files" / "bsdf-tools" / "20250210_S7_sample_final.txt"
 BANDS = Bands((465.0, 525.0, 630.0))

@@ -12,7 +12,7 @@ from attack.cases import read_whole
 from attack.mutations import of_archive, of_bytes
 from helpers.instrument_files import SUFFIXES, write_every_format
 
-from manifold.errors import ManifoldError
+from manifold.core.errors import ManifoldError
 from manifold.formats import registry
 
 
@@ -26,7 +26,7 @@ def contents(tmp_path_factory):
 def test_damaged_files_end_in_one_line_or_a_whole_record(contents, name, tmp_path):
     """A fixed number of each format; `make attack` makes them without end."""
     rng, path = random.Random(name), tmp_path / f"mutated{SUFFIXES[name]}"
-    for k in range({"merl": 8, "mini-diff": 20, "utia": 20}.get(name, 60)):
+    for k in range({"merl": 8, "mini-diff": 20, "utia": 20, "mbsdf": 20}.get(name, 60)):
         change = of_archive if name == "ma-t12" and k % 2 else of_bytes
         path.write_bytes(change(contents[name], rng))
         try:

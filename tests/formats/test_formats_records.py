@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manifold.errors import ShapeError
+from manifold.core.errors import ShapeError
 from manifold.formats import Readings, geometry_ma_t12
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import aspecular_pair

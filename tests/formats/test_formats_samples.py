@@ -10,7 +10,7 @@ import pytest
 from helpers.instrument_files import smooth, write_cxf
 
 from manifold.analytic.virtual_instruments import MA_T12_BANDS, ma_t12_readings
-from manifold.errors import FileFormatError
+from manifold.core.errors import FileFormatError
 from manifold.formats import registry
 from manifold.formats.readings import MA_T12_NAMES
 

@@ -14,9 +14,9 @@ from openpyxl import Workbook
 from openpyxl.chart import BarChart, Reference
 from PIL import EpsImagePlugin, Image
 
-from manifold import picture_bytes
 from manifold.analytic.virtual_instruments import MA_T12_BANDS, write_ma_t12
-from manifold.errors import FileFormatError
+from manifold.core import picture_bytes
+from manifold.core.errors import FileFormatError
 from manifold.formats import ma_t12, registry
 from manifold.formats.workbook_pictures import picture_values
 

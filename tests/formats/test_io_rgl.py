@@ -21,10 +21,10 @@ from helpers.sample_files import assert_same, assert_same_array, sample_file
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from manifold.errors import FileFormatError, ManifoldError, UsageError
+from manifold.core.errors import FileFormatError, ManifoldError, UsageError
+from manifold.core.records import Array, BsdfFile
 from manifold.formats.tensor_file import read_tensors, write_tensors
 from manifold.io_rgl import material_name, read_bsdf, write_bsdf
-from manifold.records import Array, BsdfFile
 
 REAL_FILES = real_rgl_files()
 NO_REAL_FILES = "no real RGL files at hand; name their folder in MANIFOLD_RGL_DIR"

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from manifold.errors import FileFormatError, UsageError
+from manifold.core.errors import FileFormatError, UsageError
 from manifold.formats import registry
 from manifold.formats.column_heads import (
     PHASE,

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from helpers.instrument_files import dense, lighttools_axes, write_every_format
 
-from manifold.errors import FileFormatError, UsageError
+from manifold.convert.contents import inspect
+from manifold.core.errors import FileFormatError, UsageError
+from manifold.core.records import Bands
 from manifold.formats import bird, registry
-from manifold.info import inspect
-from manifold.recognition import is_readings
-from manifold.records import Bands
+from manifold.formats.recognition import is_readings
 from manifold.render.ball import make_settings
 
 TABLES = {

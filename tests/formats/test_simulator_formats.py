@@ -18,11 +18,11 @@ from manifold.cli.main import run
 from manifold.colour.conversion import luminance
 from manifold.convert.conversion import convert
 from manifold.convert.tabulated import ReadingsBRDF
-from manifold.directions import from_spherical
-from manifold.errors import FileFormatError, UsageError
+from manifold.core.directions import from_spherical
+from manifold.core.errors import FileFormatError, UsageError
+from manifold.core.records import Bands
 from manifold.formats import openmaterial, registry, speos
 from manifold.formats.dense import DenseTable
-from manifold.records import Bands
 
 REAL = REPOSITORY.parent / "shared" / "files"
 needs_real_files = pytest.mark.skipif(not REAL.is_dir(), reason="the files of instruments are not here")

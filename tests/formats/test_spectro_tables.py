@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from manifold.analytic.virtual_instruments import MA_T12_BANDS, ma_t12_readings, write_ma_t12
 from manifold.colour.difference import lab_under_d65, lab_values
 from manifold.colour.narrow_bands import with_spectra
-from manifold.errors import FileFormatError
+from manifold.core.errors import FileFormatError
 from manifold.formats import ma_t12, registry
 from manifold.formats.geometries import parse_aspecular, parse_geometry
 from manifold.formats.readings import DAYLIGHT, MA_T12_NAMES, Viewing

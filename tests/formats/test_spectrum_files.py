@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manifold.errors import FileFormatError
+from manifold.core.errors import FileFormatError
 from manifold.formats.spectra import read_spectrum
 
 NM = np.arange(400.0, 701.0, 50.0)

@@ -15,12 +15,12 @@ from manifold.analytic.corpus import isotropic_materials
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
 from manifold.analytic.virtual_instruments import MA_T12_BANDS, MINI_DIFF_BANDS, ma_t12_readings
-from manifold.directions import from_spherical
-from manifold.errors import FileFormatError, UsageError
+from manifold.core.directions import from_spherical
+from manifold.core.errors import FileFormatError, UsageError
+from manifold.core.records import Bands
 from manifold.formats import astm, csv_table, lighttools, registry, utia
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
-from manifold.records import Bands
 
 SPECTRO = ma_t12_readings(smooth(MA_T12_BANDS), "smooth")
 # theta_i, phi_i, theta_o, phi_o in degrees

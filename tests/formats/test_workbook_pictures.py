@@ -11,7 +11,7 @@ import pytest
 from openpyxl.drawing.image import Image as SheetImage
 from PIL import Image
 
-from manifold import info
+from manifold.convert import contents as info
 from manifold.formats.ma_t12 import read
 from manifold.formats.readings import MA_T12_NAMES
 from manifold.formats.workbook_pictures import picture_values

@@ -17,8 +17,9 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import profile_pairs, squared_valleys, valley_depth
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour import ball_colours
-from manifold.directions import from_spherical
-from manifold.errors import ShapeError
+from manifold.core.directions import from_spherical
+from manifold.core.errors import ShapeError
+from manifold.core.records import Bands
 from manifold.library.store import Library
 from manifold.model.blend_fitting import AppearanceDistances, evaluate
 from manifold.model.blending import (
@@ -32,7 +33,6 @@ from manifold.model.blending import (
 from manifold.model.colour_paths import WHITE, fit_paths
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
-from manifold.records import Bands
 
 
 @given(st.integers(1, 8), st.integers(1, 3), st.integers(0, 10_000), st.floats(1e-3, 1e3))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import Bounds, minimize, rosen
 
+from manifold.core.errors import UsageError
 from manifold.dls import OUT_OF_EVALUATIONS, STOPPED, direct_local_search, hooke_jeeves
-from manifold.errors import UsageError
 
 
 def booth(x):

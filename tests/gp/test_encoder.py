@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from manifold.core.metrics import cube_root_error, relative_error
 from manifold.gp.encoding import Decoder, Encoder, Products, decoded_error, likelihood, mapped_residual
 from manifold.gp.kernels import kernel_named
 from manifold.gplvm import GPLVM
 from manifold.gpr import GaussianProcess
-from manifold.metrics import cube_root_error, relative_error
 from manifold.registries import MAPPINGS
 
 N, P = 12, 60

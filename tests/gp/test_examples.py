@@ -8,7 +8,7 @@ from importlib import import_module
 import pytest
 
 MODULES = (
-    "manifold.dls", "manifold.gplvm", "manifold.gp.estimators", "manifold.mapping", "manifold.metrics",
+    "manifold.dls", "manifold.gplvm", "manifold.gp.estimators", "manifold.core.mapping", "manifold.core.metrics",
     "manifold.analytic.base", "manifold.brdf.goniometer", "manifold.colour.conversion",
     "manifold.colour.difference", "manifold.colour.reflectances", "manifold.formats.geometries",
     "manifold.formats.readings", "manifold.gpr", "manifold.gp.kernels",

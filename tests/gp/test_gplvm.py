@@ -11,8 +11,8 @@ from scipy.optimize import minimize
 from sklearn.utils.estimator_checks import parametrize_with_checks
 from threadpoolctl import threadpool_limits
 
+from manifold.core.errors import ShapeError, UsageError
 from manifold.dls import hooke_jeeves
-from manifold.errors import ShapeError, UsageError
 from manifold.gp.kernels import Kernel, Matern52, SquaredExponential, kernel_named
 from manifold.gp.likelihood import IncrementalObjective, LatentObjective, centre_gram, fix_gauge, pca_start
 from manifold.gplvm import GPLVM

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.base import clone
 
-from manifold.compiled import loops
-from manifold.errors import UsageError
+from manifold.core.compiled import loops
+from manifold.core.errors import UsageError
 from manifold.gp.estimators import GPRegressor
 from manifold.gp.kernels import SquaredExponential, kernel_named
 from manifold.gplvm import GPLVM

@@ -14,7 +14,7 @@ from manifold.analytic.free_lobes import (
     microfacet_lobe,
 )
 from manifold.analytic.ggx import GGX, normal_distribution
-from manifold.directions import from_spherical, to_rusinkiewicz
+from manifold.core.directions import from_spherical, to_rusinkiewicz
 from manifold.gp.nonnegative import nonnegative_weights
 
 

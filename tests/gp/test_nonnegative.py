@@ -13,11 +13,11 @@ from scipy.optimize import nnls
 
 from manifold.analytic.free_lobes import Lobes
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.errors import ShapeError
+from manifold.core.errors import ShapeError
+from manifold.core.pairs import RusinkiewiczGrid, cosine_weight
 from manifold.gp.nonnegative import nonnegative_weights
 from manifold.model.estimator import explain
 from manifold.model.reconstruction import few_atoms, observations
-from manifold.pairs import RusinkiewiczGrid, cosine_weight
 
 
 def problem(rng, n, rows, *, rank=None):

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from manifold.directions import from_spherical
-from manifold.records import Array
+from manifold.core.directions import from_spherical
+from manifold.core.records import Array
 
 
 def chi_square_p_value(

@@ -9,7 +9,6 @@ import numpy as np
 import xlwt
 from colour_cxf import cxf3
 
-from manifold import disk
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
 from manifold.analytic.virtual_instruments import (
@@ -18,13 +17,16 @@ from manifold.analytic.virtual_instruments import (
     ma_t12_readings,
     write_mini_diff,
 )
-from manifold.directions import from_spherical
+from manifold.core import disk
+from manifold.core.directions import from_spherical
+from manifold.core.records import Array, Bands
 from manifold.formats import (
     astm,
     csv_table,
     fred,
     lighttools,
     ma_t12,
+    mbsdf,
     merl,
     openmaterial,
     speos,
@@ -34,7 +36,6 @@ from manifold.formats import (
 from manifold.formats.csv_table import angles_deg
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import MA_T12_NAMES, Readings
-from manifold.records import Array, Bands
 
 RGB = Bands(None)
 
@@ -191,6 +192,7 @@ def write_every_format(folder: Path, *, is_coarse: bool = False) -> dict[str, Pa
         (a, i, r) for a in (-90.0, -45.0, 0.0) for i in (20.0, 50.0) for r in np.arange(-70.0, 71.0, 20.0)
     ]
     write_rt300s(paths["rt-300s"], smooth(Bands((550.0,))), angles)
+    mbsdf.write(paths["mbsdf"], dense(RGB, "incident-outgoing", mbsdf.axes()))
     merl.write(paths["merl"], dense(RGB, "half-difference", merl.axes()))
     utia.write(paths["utia"], dense(RGB, "incident-outgoing", utia.axes()))
     return paths
@@ -198,14 +200,14 @@ def write_every_format(folder: Path, *, is_coarse: bool = False) -> dict[str, Pa
 
 SUFFIXES = {
     "ma-t12": ".xlsx", "csv": ".csv", "cxf": ".cxf", "astm": "_table.astm", "mini-diff": ".astm", "pab-opto": ".txt",
-    "lighttools": "_lt.bsdf", "zemax": "_zemax.bsdf", "merl": ".binary", "utia": ".bin",
+    "lighttools": "_lt.bsdf", "zemax": "_zemax.bsdf", "merl": ".binary", "utia": ".bin", "mbsdf": ".mbsdf",
     "fred": "_fred.txt", "speos": ".brdf", "speos-anisotropic": ".anisotropicbsdf", "openmaterial": ".xompt",
     "rt-300s": ".xls",
 }  # fmt: skip
 TITLES = {
     "ma-t12": "spectrophotometer workbook (.xlsx)", "csv": "CSV table", "cxf": "CxF3", "astm": "ASTM table",
     "mini-diff": "ASTM table", "pab-opto": "pab-opto text", "lighttools": "LightTools BSDF text",
-    "zemax": "Zemax BSDF text", "merl": "MERL", "utia": "UTIA",
+    "zemax": "Zemax BSDF text", "merl": "MERL", "utia": "UTIA", "mbsdf": "MBSDF (.mbsdf)",
     "fred": "FRED table", "speos": "Ansys Speos text", "speos-anisotropic": "Ansys Speos text",
     "openmaterial": "OpenMATERIAL 3D (.xompt)", "rt-300s": "RT-300S workbook (.xls)",
 }  # fmt: skip

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from manifold.records import Array
+from manifold.core.records import Array
 from manifold.render.render import rgb_film
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from matplotlib.figure import Figure
 
-from manifold.plots import figures
+from manifold.pictures import figures
 from manifold.render import thumbnails
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from manifold.core.records import Array, BsdfFile
 from manifold.io_rgl import write_bsdf
-from manifold.records import Array, BsdfFile
 
 WAVELENGTHS_NM = np.linspace(358.63, 1001.89, 70, dtype=np.float32)  # 70 bands: two chunks
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from helpers.browser import PACKED, unpacked
 
-from manifold.records import Array
+from manifold.core.records import Array
 from manifold.shader.table import Halves
 
 _WIDTH = 256

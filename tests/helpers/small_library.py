@@ -13,11 +13,11 @@ import numpy as np
 
 from manifold.analytic import corpus
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.core.records import BsdfFile
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold
-from manifold.records import BsdfFile
 
 NAMES = (
     "syn_felt_green", "syn_felt_orange", "syn_gloss_red", "syn_metal_copper", "syn_paper_white", "syn_satin_gold",

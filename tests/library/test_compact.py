@@ -18,7 +18,8 @@ from manifold.analytic import corpus
 from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import unmeasured_cells
-from manifold.errors import LibraryError, UsageError
+from manifold.core.errors import LibraryError, UsageError
+from manifold.core.records import Bands, BsdfFile
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library import staging, visible_normals
 from manifold.library.compacting import CUBE_ROOT_PER_BALL, compact_library, encode
@@ -26,7 +27,6 @@ from manifold.library.importing import import_files
 from manifold.library.layout import StoredArray, write_array
 from manifold.library.store import Library
 from manifold.model.comparison import brdf_errors
-from manifold.records import Bands, BsdfFile
 
 
 @pytest.fixture

@@ -14,8 +14,8 @@ import pytest
 from helpers.paths import REPOSITORY
 from helpers.sample_files import write_samples
 
-from manifold import progress
-from manifold.errors import FetchError, UsageError
+from manifold.core import progress
+from manifold.core.errors import FetchError, UsageError
 from manifold.library.fetch import Entry, IncompleteFetchError, fetch, rgb_table, rgl_table, select
 
 CONTENT = np.random.default_rng(7).integers(0, 256, 300_000, dtype=np.uint8).tobytes()

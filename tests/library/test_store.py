@@ -22,14 +22,14 @@ from helpers.fork_server import ForkServer, fork_server
 from helpers.sample_files import WAVELENGTHS_NM, assert_same, assert_same_array, sample_file, write_samples
 from helpers.small_library import measured
 
-from manifold import progress
-from manifold.errors import BandMismatchError, LibraryError, UsageError
+from manifold.core import progress
+from manifold.core.errors import BandMismatchError, LibraryError, UsageError
+from manifold.core.records import Bands, BsdfFile
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library import layout, staging
 from manifold.library.identity import is_material_name
 from manifold.library.importing import ImportResult, InconsistentFileWarning, import_files
 from manifold.library.store import Library
-from manifold.records import Bands, BsdfFile
 
 
 def _outcomes(result: ImportResult) -> tuple[object, ...]:

@@ -14,14 +14,14 @@ from helpers.small_library import small_model
 
 from manifold.analytic.base import Lambert
 from manifold.analytic.virtual_instruments import MA_T12_BANDS, write_ma_t12
-from manifold.batch import Command, SheetWarning, _Made, ball_path, batch
-from manifold.errors import ManifoldError, UsageError
+from manifold.core.errors import ManifoldError, UsageError
 from manifold.estimate.inputs import Input, find_inputs, find_samples
 from manifold.estimate.instruments import calibrate
 from manifold.estimate.sources import FileSource, PlaceSource
 from manifold.library import staging
+from manifold.many.batch import Command, SheetWarning, _Made, ball_path, batch
 from manifold.model.colours import ColourChoice
-from manifold.plots import figures
+from manifold.pictures import figures
 
 COLUMNS = {"letters": lambda content: content["letters"]}
 

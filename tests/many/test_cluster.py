@@ -10,22 +10,23 @@ import pytest
 from helpers.sample_files import write_samples
 from helpers.small_library import small_library
 
-from manifold import cluster, many, pairs
 from manifold.analytic.base import Lambert
 from manifold.analytic.virtual_instruments import MA_T12_BANDS, write_ma_t12
-from manifold.batch import batch
 from manifold.convert.targets import Options
+from manifold.core import cluster, pairs
 from manifold.estimate.inputs import find_inputs, find_samples
 from manifold.estimate.sources import FileSource
 from manifold.evaluate import embed, make_report
-from manifold.evaluate.chart import make_chart
-from manifold.evaluate.stability.catalogue import MODES
-from manifold.evaluate.stability.trials import run_modes, select_modes
 from manifold.library import importing
 from manifold.library.importing import import_files
 from manifold.library.store import Library
+from manifold.many import commands as many
+from manifold.many.batch import batch
 from manifold.model.manifold import Settings
 from manifold.model.output_file import OutputOptions
+from manifold.study.chart import make_chart
+from manifold.study.stability.catalogue import MODES
+from manifold.study.stability.trials import run_modes, select_modes
 
 distributed = pytest.importorskip("distributed")
 

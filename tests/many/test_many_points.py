@@ -15,16 +15,16 @@ import pytest
 from helpers.small_library import NAMES, measured, small_model
 from typer.testing import CliRunner
 
-from manifold import many
-from manifold.batch import OutputIndex, batch
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.cli.main import app
-from manifold.errors import FileFormatError, ManifoldError, UsageError
+from manifold.core.errors import FileFormatError, ManifoldError, UsageError
 from manifold.estimate import predictions
 from manifold.estimate.attributes import lab_of
 from manifold.estimate.inputs import read_points
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.identity import file_sha256
+from manifold.many import commands as many
+from manifold.many.batch import OutputIndex, batch
 from manifold.model.colours import ColourChoice
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
@@ -209,7 +209,7 @@ def test_an_index_of_other_content_is_refused(tmp_path, content):
 )
 def test_a_place_is_given_once(model, tmp_path, words):
     points = () if not words else ("--from", table(tmp_path, "x,y\n0,0\n"))
-    for command in ("predict", "render"):
+    for command in ("predict", *(["render"] if words[:1] != ("--latent",) else [])):
         assert isinstance(run(command, *points, *words, "-M", model).exception, UsageError)
 
 

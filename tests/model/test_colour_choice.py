@@ -8,12 +8,12 @@ from helpers.small_library import small_library
 
 from manifold.colour.conversion import encode_srgb, to_srgb
 from manifold.colour.reflectances import ReflectanceSpectrum, read_reflectance, srgb_reflectance
-from manifold.errors import FileFormatError, UsageError
+from manifold.core.errors import FileFormatError, UsageError
+from manifold.core.records import Bands
 from manifold.io_rgl import rgl_wavelengths_nm
 from manifold.library.store import Library
 from manifold.model.colours import NEAREST, ColourChoice, parse_srgb
 from manifold.model.manifold import Manifold, Settings
-from manifold.records import Bands
 
 BANDS = Bands.from_array(rgl_wavelengths_nm())
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from manifold.brdf.plausibility import Plausibility
-from manifold.judged_lights import BALL
-from manifold.metrics import Errors
+from manifold.core.judged_lights import BALL
+from manifold.core.metrics import Errors
 from manifold.model import diagnostics
 
 SOUND = Plausibility(negative_share=0.0, reciprocity_error=0.0, max_albedo=0.9, highlight_valley=0.05)

@@ -12,10 +12,10 @@ from scipy.stats import spearmanr
 
 from manifold.colour import panel
 from manifold.colour.colour_science import colour_science
+from manifold.core.judged_lights import JUDGED
+from manifold.core.metrics import Errors
 from manifold.gp.encoding import encoding_pairs
-from manifold.judged_lights import JUDGED
 from manifold.library.store import Library
-from manifold.metrics import Errors
 from manifold.model.colours import ColourChoice
 from manifold.model.diagnostics import in_words, predict_and_diagnose
 from manifold.model.expected_error import LEVEL, ExpectedError, LeftOut

@@ -10,7 +10,7 @@ from matplotlib.collections import PathCollection
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour import ball_colours
-from manifold.errors import UsageError
+from manifold.core.errors import UsageError
 from manifold.evaluate.report import make_report
 from manifold.library.store import Library
 from manifold.model import expected_error, fitting, landmarks
@@ -18,7 +18,7 @@ from manifold.model.colours import ColourChoice
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
 from manifold.page.page_data import tabulate, to_document
-from manifold.plots import map_figure
+from manifold.pictures import map_figure
 
 MORE = ("syn_paint_sand", "syn_paper_red", "syn_satin_white", "syn_gloss_green")
 

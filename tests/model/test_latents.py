@@ -9,10 +9,10 @@ import pytest
 from helpers.small_library import NAMES, small_library
 
 from manifold.colour import ball_colours
-from manifold.errors import LatentError, UsageError
+from manifold.convert.contents import inspect
+from manifold.core.errors import LatentError, UsageError
 from manifold.estimate.descriptions import locate
 from manifold.estimate.predictions import predict
-from manifold.info import inspect
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.colours import ColourChoice

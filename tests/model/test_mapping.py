@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manifold.errors import ShapeError, UsageError
-from manifold.mapping import CubeRoot, Identity, Log, LogRelative
+from manifold.core.errors import ShapeError, UsageError
+from manifold.core.mapping import CubeRoot, Identity, Log, LogRelative
 from manifold.registries import MAPPINGS
 
 EVERY = pytest.mark.parametrize("name", list(MAPPINGS))

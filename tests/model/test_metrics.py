@@ -8,10 +8,10 @@ from helpers import reference
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manifold.directions import from_rusinkiewicz, from_spherical, half_vector, to_rusinkiewicz
-from manifold.errors import ShapeError
-from manifold.metrics import Errors, RunningErrors, cube_root_error, relative_error, rmse, spectral_angle
-from manifold.pairs import RusinkiewiczGrid, cosine_weight
+from manifold.core.directions import from_rusinkiewicz, from_spherical, half_vector, to_rusinkiewicz
+from manifold.core.errors import ShapeError
+from manifold.core.metrics import Errors, RunningErrors, cube_root_error, relative_error, rmse, spectral_angle
+from manifold.core.pairs import RusinkiewiczGrid, cosine_weight
 
 
 @given(pairs=st.integers(1, 8), bands=st.integers(1, 8))

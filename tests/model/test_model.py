@@ -14,31 +14,31 @@ import pytest
 from helpers.small_library import NAMES, measured, small_library
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from manifold import progress
 from manifold.analytic.base import Lambert
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour import panel
-from manifold.directions import from_spherical
-from manifold.errors import (
+from manifold.core import progress
+from manifold.core.directions import from_spherical
+from manifold.core.errors import (
     BandMismatchError,
     LibraryError,
     ModelError,
     ShapeError,
     UsageError,
 )
+from manifold.core.metrics import rmse
+from manifold.core.pairs import RusinkiewiczGrid, cosine_weight
+from manifold.core.records import Bands
 from manifold.gp.kernels import Kernel
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
-from manifold.metrics import rmse
 from manifold.model import blending, fitting, model_file
 from manifold.model.fitting import BrightMaterialWarning
 from manifold.model.manifold import LibraryChangedWarning, Manifold, Settings
 from manifold.model.model_file import read_model, write_model
 from manifold.model.settings import KINDS
-from manifold.pairs import RusinkiewiczGrid, cosine_weight
-from manifold.records import Bands
 from manifold.registries import KERNELS, MAPPINGS
 
 

@@ -18,14 +18,14 @@ from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import mirrored_quadrature, plausibility
 from manifold.brdf.sums import WeightedSum
-from manifold.compiled import loops
-from manifold.directions import from_spherical, hemisphere_quadrature
-from manifold.errors import BandMismatchError, ShapeError
-from manifold.mapping import CubeRoot
+from manifold.core.compiled import loops
+from manifold.core.directions import from_spherical, hemisphere_quadrature
+from manifold.core.errors import BandMismatchError, ShapeError
+from manifold.core.mapping import CubeRoot
+from manifold.core.pairs import Pairs
+from manifold.core.records import Bands
 from manifold.model.combination import Combination, Dictionary, Values
 from manifold.model.prediction import ClippedBRDF, PredictedBRDF
-from manifold.pairs import Pairs
-from manifold.records import Bands
 from manifold.registries import MAPPINGS
 
 RGB = Bands(None)

@@ -10,8 +10,9 @@ from helpers import reference
 from helpers.small_library import NAMES, measured
 
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.directions import from_spherical
-from manifold.errors import ShapeError, UsageError
+from manifold.core.directions import from_spherical
+from manifold.core.errors import ShapeError, UsageError
+from manifold.core.pairs import NAMED_GRIDS, RusinkiewiczGrid
 from manifold.evaluate.method_data import Data
 from manifold.evaluate.model_methods import model_methods
 from manifold.gplvm import log_likelihood
@@ -23,7 +24,6 @@ from manifold.model.comparison import rmse22
 from manifold.model.location import locate
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
-from manifold.pairs import NAMED_GRIDS, RusinkiewiczGrid
 
 T = {"identity": lambda f: f, "cube-root": np.cbrt}
 

@@ -13,17 +13,17 @@ from manifold.analytic.microfacet import RoughConductor
 from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import plausibility
-from manifold.directions import from_spherical, half_vector
-from manifold.errors import BandMismatchError, UsageError
+from manifold.core.directions import from_spherical, half_vector
+from manifold.core.errors import BandMismatchError, UsageError
+from manifold.core.metrics import cube_root_error, relative_error
+from manifold.core.pairs import RusinkiewiczGrid, cosine_weight
+from manifold.core.records import Bands
 from manifold.io_rgl import read_bsdf
-from manifold.metrics import cube_root_error, relative_error
 from manifold.model import reconstruction
 from manifold.model.comparison import brdf_errors
 from manifold.model.location import reconstruct_file
 from manifold.model.manifold import Manifold
 from manifold.model.reconstruction import reconstruct
-from manifold.pairs import RusinkiewiczGrid, cosine_weight
-from manifold.records import Bands
 
 LEFT_OUT = "syn_satin_gold"
 GRID = RusinkiewiczGrid(20, 11, 7, offset=0.3)  # not the pairs that weights are found at

@@ -12,19 +12,19 @@ from manifold.analytic.microfacet import RoughConductor
 from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.orientation import rotation_of
-from manifold.directions import rotate_z
+from manifold.core.directions import rotate_z
+from manifold.core.metrics import relative_error
+from manifold.core.pairs import RusinkiewiczGrid, cosine_weight
+from manifold.core.records import Bands, BsdfFile
 from manifold.estimate.attributes import Attributes, Wanted
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.predictions import predict
 from manifold.estimate.sources import FileSource
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.importing import import_files
-from manifold.metrics import relative_error
 from manifold.model.location import locate, reconstruct_file
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
-from manifold.pairs import RusinkiewiczGrid, cosine_weight
-from manifold.records import Bands, BsdfFile
 
 PAIRS = RusinkiewiczGrid(20, 11, 7, is_turned=True).directions()[:2]
 EXTINCTIONS = {

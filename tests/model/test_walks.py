@@ -12,13 +12,13 @@ from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic, RoughConductor
 from manifold.brdf.plausibility import plausibility
 from manifold.colour import ball_colours
-from manifold.directions import from_spherical
+from manifold.core.directions import from_spherical
+from manifold.core.metrics import cube_root_error
+from manifold.core.pairs import cosine_weight
+from manifold.core.records import Bands
 from manifold.gp.encoding import encoding_pairs
-from manifold.metrics import cube_root_error
 from manifold.model.manifold import Manifold
 from manifold.model.walks import RoughenedBRDF, Walked, fit_highlight, roughness_at, step_of
-from manifold.pairs import cosine_weight
-from manifold.records import Bands
 
 PAIRS = encoding_pairs()
 

@@ -14,7 +14,7 @@ from helpers.small_library import NAMES, small_library
 from manifold.colour import ball_colours
 from manifold.colour.conversion import decode_srgb, srgb_to_xyz
 from manifold.colour.lights import environment
-from manifold.directions import from_spherical
+from manifold.core.directions import from_spherical
 from manifold.estimate.attributes import Attributes, Wanted, adjust, lab_of
 from manifold.estimate.gloss import gloss_units
 from manifold.model.blending import blend_weights

@@ -21,9 +21,9 @@ import pytest
 from helpers.browser import TIMEOUT_MS, chromium, control, visit
 from helpers.small_library import NAMES, small_library, small_model
 
-from manifold.batch import batch
-from manifold.errors import UsageError
+from manifold.core.errors import UsageError
 from manifold.fit import exporting
+from manifold.many.batch import batch
 from manifold.page import explore
 from manifold.page.commands import COMMANDS, Context, call_of
 from manifold.page.jobs import Queue

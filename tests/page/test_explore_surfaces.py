@@ -13,12 +13,12 @@ from scipy.ndimage import gaussian_filter
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.conversion import decode_srgb, srgb_to_xyz
 from manifold.colour.difference import delta_e_2000
-from manifold.errors import UsageError
+from manifold.core.errors import UsageError
+from manifold.core.records import Bands
 from manifold.page.page import make_page
 from manifold.page.page_data import tabulate, to_document
 from manifold.page.page_surfaces import components_of
 from manifold.page.tabulated_pairs import tabulated_pairs
-from manifold.records import Bands
 from manifold.surface import preview
 from manifold.surface.response import shaded
 from manifold.surface.sparkle import Flakes

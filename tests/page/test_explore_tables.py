@@ -12,9 +12,9 @@ import pytest
 from helpers.small_library import NAMES, small_library, small_model
 
 from manifold.colour import ball_colours
-from manifold.directions import to_rusinkiewicz
-from manifold.errors import UsageError
-from manifold.judged_lights import BALL
+from manifold.core.directions import to_rusinkiewicz
+from manifold.core.errors import UsageError
+from manifold.core.judged_lights import BALL
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold, Settings
 from manifold.page import explore, page_data

@@ -17,7 +17,7 @@ from PIL import Image
 
 from manifold.colour.conversion import decode_srgb, srgb_to_xyz
 from manifold.colour.difference import delta_e_2000
-from manifold.directions import from_spherical
+from manifold.core.directions import from_spherical
 from manifold.page.commands import Context
 from manifold.page.jobs import Queue
 from manifold.page.page import make_page

@@ -9,7 +9,7 @@ import pytest
 from helpers.browser import TIMEOUT_MS, chromium
 from helpers.small_library import NAMES
 
-from manifold.errors import LatentError, UsageError
+from manifold.core.errors import LatentError, UsageError
 from manifold.model.colours import ColourChoice
 
 pytest.importorskip("anywidget", reason="anywidget is not installed: pip install anywidget")

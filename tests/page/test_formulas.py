@@ -12,13 +12,13 @@ from manifold.analytic.free_lobes import microfacet_lobe
 from manifold.brdf.plausibility import valley_depth
 from manifold.colour import conversion, difference
 from manifold.colour.reflectances import read_reflectance
-from manifold.directions import from_spherical, to_rusinkiewicz
-from manifold.errors import FileFormatError
+from manifold.core.directions import from_spherical, to_rusinkiewicz
+from manifold.core.errors import FileFormatError
+from manifold.core.records import Bands
 from manifold.estimate import attributes
 from manifold.model import walks
 from manifold.model.blending import blend_weights
 from manifold.model.walks import Highlight
-from manifold.records import Bands
 
 RGB = Bands(None)
 D65 = conversion.srgb_to_xyz(np.ones(3))

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from helpers.small_library import measured
 
-from manifold.errors import UsageError
+from manifold.core.errors import UsageError
 from manifold.io_rgl import write_bsdf
 from manifold.render import backend
 

@@ -19,8 +19,9 @@ from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
 from manifold.brdf import goniometer
 from manifold.colour.illuminants import Illuminant
-from manifold.directions import from_spherical, normalize
-from manifold.errors import LatentError, MissingModelError, UnknownNameError, UsageError
+from manifold.core.directions import from_spherical, normalize
+from manifold.core.errors import LatentError, MissingModelError, UnknownNameError, UsageError
+from manifold.core.records import Bands
 from manifold.estimate import predictions
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
@@ -30,7 +31,6 @@ from manifold.model.combination import Combination
 from manifold.model.manifold import LibraryChangedWarning, Manifold, Settings, load_model
 from manifold.model.output_file import OutputOptions
 from manifold.model.prediction import PredictedBRDF
-from manifold.records import Bands
 from manifold.registries import MAPPINGS
 from manifold.render import backend, scenes
 from manifold.render.plugin import mixture

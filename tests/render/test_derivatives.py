@@ -10,7 +10,7 @@ import pytest
 from helpers.small_library import measured, small_library
 
 from manifold.analytic import corpus
-from manifold.errors import LatentError, UsageError
+from manifold.core.errors import LatentError, UsageError
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library

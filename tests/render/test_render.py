@@ -24,9 +24,9 @@ from manifold.colour import lights
 from manifold.colour.conversion import InvisibleBandsWarning, decode_srgb, sensor_responses, srgb_to_xyz
 from manifold.colour.difference import delta_e_2000
 from manifold.colour.illuminants import Illuminant
-from manifold.errors import FileFormatError, ShapeError, UsageError
+from manifold.core.errors import FileFormatError, ShapeError, UsageError
+from manifold.core.records import Bands
 from manifold.io_rgl import write_bsdf
-from manifold.records import Bands
 from manifold.render import backend, images, render, scenes
 from manifold.render.ball import make_settings, parse_illuminant, read_material, render_material
 from manifold.render.render import RenderSettings, render_bsdf
@@ -254,7 +254,7 @@ def test_render_and_compare_on_the_command_line(folder, tmp_path, run):
 
 
 def test_a_latent_renders_like_its_prediction(folder, tmp_path, run):
-    at, size = ("--latent", "0.1,-0.1"), ("--size", "24", "--samples", "16")
+    at, size = ("0.1,-0.1",), ("--size", "24", "--samples", "16")
     for arguments in (
         ("render", *at, "-o", tmp_path / "latent.exr", *size),
         ("predict", *at, "--resolution", "48", "--incidences", "24", "-o", tmp_path / "p_rgb.bsdf"),

@@ -12,14 +12,14 @@ import time
 import pytest
 from helpers.small_library import measured
 
-from manifold import work
-from manifold.batch import batch
-from manifold.errors import ManifoldError
+from manifold.core import work
+from manifold.core.errors import ManifoldError
 from manifold.estimate.inputs import find_inputs
 from manifold.estimate.sources import FileSource
 from manifold.fit import fits
 from manifold.fit.fits import FitSettings
 from manifold.io_rgl import write_bsdf
+from manifold.many.batch import batch
 
 pytestmark = pytest.mark.slow
 

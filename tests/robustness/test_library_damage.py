@@ -14,7 +14,7 @@ import pytest
 import zarr
 from helpers.sample_files import WAVELENGTHS_NM, sample_file, write_samples
 
-from manifold.errors import LibraryError, UsageError
+from manifold.core.errors import LibraryError, UsageError
 from manifold.io_rgl import write_bsdf
 from manifold.library import store
 from manifold.library.identity import require_material_name

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from helpers.small_library import measured
 
-from manifold.errors import RendererError
-from manifold.plots import figures
+from manifold.core.errors import RendererError
+from manifold.pictures import figures
 from manifold.render import backend
 from manifold.render.ball import render_material
 from manifold.render.render import RenderSettings
@@ -23,7 +23,7 @@ import numpy as np
 from manifold.analytic.base import Lambert
 from manifold.brdf.goniometer import measure
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.records import Bands
+from manifold.core.records import Bands
 material = MeasuredBRDF(measure(Lambert(np.full(3, 0.5), Bands(None)), "grey", resolution=8, n_theta_i=4))
 w = np.tile([0.0, 0.6, 0.8], (1000, 1))
 before = material.eval(w, w)

@@ -12,7 +12,7 @@ from helpers.shaders import BrowserShader
 from helpers.three_js import node_modules
 
 from manifold.colour import panel
-from manifold.directions import from_spherical, normalize
+from manifold.core.directions import from_spherical, normalize
 from manifold.shader import code, ktx2
 
 TOOLS = [name for name in ("glslangValidator", "spirv-cross") if shutil.which(name) is None]

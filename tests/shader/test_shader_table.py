@@ -12,8 +12,8 @@ from helpers.small_library import measured
 from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.wrapper import WrappedBRDF
-from manifold.directions import from_spherical
-from manifold.errors import UsageError
+from manifold.core.directions import from_spherical
+from manifold.core.errors import UsageError
 from manifold.shader import ktx2
 from manifold.shader.averaged import AveragedBRDF
 from manifold.shader.exporting import MOST_BYTES, make_shader

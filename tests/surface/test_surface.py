@@ -10,11 +10,11 @@ from PIL import Image
 from scipy.ndimage import label
 from surface_twins import BORDER, CAPTIONS, SIZE, photographed, rendered, rough, truth, workbook
 
-from manifold.colour.pictures import read_picture
-from manifold.errors import FileFormatError, UsageError
+from manifold.colour.picture_files import read_picture
+from manifold.core.errors import FileFormatError, UsageError
+from manifold.core.records import Bands
 from manifold.formats import ma_t12
 from manifold.formats.readings import Readings, geometry_ma_t12
-from manifold.records import Bands
 from manifold.render import backend
 from manifold.render.bsdf_parameters import principled
 from manifold.render.fitted_brdf import FittedBRDF

@@ -21,18 +21,18 @@ from PIL import Image
 from surface_twins import CAPTIONS, workbook
 from typer.testing import CliRunner
 
-from manifold.batch import only_run_in
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.cli.main import app
 from manifold.colour.conversion import decode_srgb, encode_srgb, file_to_srgb, to_srgb
 from manifold.colour.reflectances import spectral_changes, weights_at
-from manifold.errors import FileFormatError, MissingFileError, UsageError
+from manifold.core.errors import FileFormatError, MissingFileError, UsageError
+from manifold.core.metrics import Errors
+from manifold.core.records import Bands
 from manifold.fit.exports.document import Export, TextureFiles
 from manifold.formats import ma_t12
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.io_rgl import read_bsdf, write_bsdf
-from manifold.metrics import Errors
-from manifold.records import Bands
+from manifold.many.batch import only_run_in
 from manifold.registries import TARGETS
 from manifold.render import backend
 from manifold.render.images import read_display, write_display

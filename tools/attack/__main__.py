@@ -96,7 +96,7 @@ def _case(kind: str, number: int, seed: int, base: Path, work: Path, log: Path) 
 
 def _flips(base: Path, work: Path, count: int, rng: random.Random) -> list[str]:
     """Single bits of a model turned over, each checked by reading it."""
-    from manifold.errors import ModelError
+    from manifold.core.errors import ModelError
     from manifold.model.model_file import read_model
 
     whole = (base / "whole" / "model.h5").read_bytes()

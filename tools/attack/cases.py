@@ -178,7 +178,7 @@ def _refusing(task: Callable[[], object]) -> Callable[[], object]:
     """A task whose errors of this package end it as those of the command line do."""
 
     def run() -> None:
-        from manifold.errors import ManifoldError
+        from manifold.core.errors import ManifoldError
 
         try:
             task()
@@ -204,7 +204,7 @@ def scenes(base: Path, folder: Path, rng: random.Random) -> Case:
     scene = folder / ("s.json" if name == "s.json" else "s.xml")
 
     def task() -> None:
-        from manifold.evaluate.budget.scene_document import SceneDocument
+        from manifold.study.budget.scene_document import SceneDocument
 
         document = SceneDocument.read(scene)
         _ = document.film_size

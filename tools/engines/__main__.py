@@ -6,7 +6,8 @@
     python tools/engines --shape plane    textured surfaces alone; keeps no results
 
 Balls in the lights in which errors are judged: Cycles (`bpy`) draws Blender's scripts, and glTF as Blender imports it,
-MaterialX's GLSL renderer OpenPBR, standard_surface and UsdPreviewSurface, three.js in Chromium glTF. Each engine's
+MaterialX's GLSL renderer OpenPBR, standard_surface and UsdPreviewSurface, Adobe's openpbr-bsdf OpenPBR (the variable
+OPENPBR_BSDF names the folder of its headers), three.js in Chromium glTF. Each engine's
 exposure in a light is that in which a white Lambertian has the mean of Mitsuba's. Surfaces are planes of some materials
 with textures of colours and normals, under suns, see `surfaces`. Real files are taken from
 MANIFOLD_RGL_DIR, else ../shared/rgl/real; `make engines` installs what is needed.
@@ -34,13 +35,13 @@ sys.path[:0] = [str(REPOSITORY), str(REPOSITORY / "tools"), str(REPOSITORY / "te
 from helpers.browser import chromium  # noqa: E402
 from helpers.three_js import ThreeJs, node_modules  # noqa: E402
 
-from engines import balls, surfaces  # noqa: E402
+from engines import balls, openpbr_bsdf, surfaces  # noqa: E402
 from engines.balls import BALL, EDGE, Pictures, Scene, y_up  # noqa: E402
+from manifold.core.metrics import Errors  # noqa: E402
 from manifold.fit import exporting  # noqa: E402
 from manifold.fit.exports.document import Export  # noqa: E402
 from manifold.fit.exports.principled_values import Principled  # noqa: E402
 from manifold.fit.exports.targets import Target, TargetBRDF  # noqa: E402
-from manifold.metrics import Errors  # noqa: E402
 from manifold.registries import TARGETS  # noqa: E402
 
 MATERIALS = (
@@ -80,6 +81,8 @@ def main() -> None:
     real = Path(os.environ.get("MANIFOLD_RGL_DIR", REPOSITORY.parent / "shared" / "rgl" / "real"))
     files = {n: real / f"{n}_rgb.bsdf" for n in MATERIALS if any(w in n for w in options.only or [""])}
     engines = options.engine or list(ENGINES)
+    if "openpbr-bsdf" in engines:
+        openpbr_bsdf.headers()
     with tempfile.TemporaryDirectory() as scratch:
         work = (options.work or Path(scratch)).resolve()
         versions: dict[str, str] = {}
@@ -110,7 +113,7 @@ def drawn_balls(
             versions[engine] = version_of(work / name, partial(draw, made, BALL))
             drawn = {each: balls.read(work / name, each) for each in made}
             pictures[name] = balls.exposed(drawn, measured[WHITE], WHITE)
-            rows[name] = compared(name, made, pictures[name], measured)
+            rows[name] = compared(name, engine, made, pictures[name], measured)
     if sheets:
         balls.write_sheets(sheets, pictures)
     return {"summary": summary(rows), "exports": rows}
@@ -126,7 +129,7 @@ def drawn_surfaces(
     for engine in engines:
         targets, draw = ENGINES[engine]
         for target in targets:
-            if target == "usd":  # MaterialX is given its values, not the file
+            if target == "usd" or engine == "openpbr-bsdf":  # which are given values, not files with textures
                 continue
             name = f"{target} in {engine}"
             made = exports(files, TARGETS[target], work / "surfaces", surfaces.write)
@@ -246,6 +249,15 @@ def _inputs(parameters: dict[str, Any]) -> dict[str, tuple[str, str]]:
     }
 
 
+def adobe(exported: Exported, scene: Scene, folder: Path) -> str:
+    """Evaluate Adobe's code in the sums that make pictures of balls; its version. It draws no planes."""
+    for name, made in exported.items():
+        pictures = balls.by_quadrature(openpbr_bsdf.AdobeBRDF(made["parameters"]))
+        for key in scene.lights:
+            np.save(folder / f"{name} {key}.npy", pictures[key][::-1])
+    return openpbr_bsdf.VERSION
+
+
 def three_js(exported: Exported, scene: Scene, folder: Path) -> str:
     """Draw in three.js; its version."""
     modules = node_modules()
@@ -267,6 +279,7 @@ def three_js(exported: Exported, scene: Scene, folder: Path) -> str:
 ENGINES = {
     "cycles": (("blender", "gltf"), cycles),
     "materialx": (("openpbr", "standard-surface", "usd"), materialx),
+    "openpbr-bsdf": (("openpbr",), adobe),
     "three.js": (("gltf",), three_js),
 }
 """Targets that each engine draws, and what draws them: a file for each material and light, rows from below."""
@@ -286,7 +299,7 @@ def _saved(folder: Path, name: str, values: Any) -> str:
 
 
 def compared(
-    title: str, exported: Exported, drawn: dict[str, Pictures], measured: dict[str, Pictures]
+    title: str, engine: str, exported: Exported, drawn: dict[str, Pictures], measured: dict[str, Pictures]
 ) -> dict[str, dict[str, Any]]:
     """What was printed, what is drawn, and how far that is from our own model of the target, by material."""
     white = balls.differences(drawn[WHITE], measured[WHITE])
@@ -297,8 +310,11 @@ def compared(
     for name, made in exported.items():
         if name == WHITE:
             continue
-        model = balls.by_quadrature(TargetBRDF(TARGETS[made["target"]], made["parameters"]))
-        lights, printed = balls.differences(drawn[name], measured[name]), made["errors"]["lights"]
+        printed_errors = made.get("implementations", {})
+        own = next((program for program in printed_errors if program.lower() == engine), None)
+        model = balls.by_quadrature(TargetBRDF(TARGETS[made["target"]], made["parameters"], own))
+        printed = printed_errors.get(own, made["errors"])["lights"]
+        lights = balls.differences(drawn[name], measured[name])
         mean, mean_printed = (statistics.fmean(each.values()) for each in (lights, printed))
         rows[name] = {
             "printed": mean_printed, "drawn": mean, "ratio": mean / mean_printed, "printed_lights": printed,

@@ -13,8 +13,8 @@ from manifold.brdf.interface import EvaluableBRDF
 from manifold.colour import ball_colours, panel
 from manifold.colour.conversion import encode_srgb, srgb_to_xyz, xyz_to_srgb
 from manifold.colour.difference import delta_e_2000
-from manifold.directions import from_spherical, normalize
-from manifold.records import Array
+from manifold.core.directions import from_spherical, normalize
+from manifold.core.records import Array
 from manifold.render import backend, images, scenes
 from manifold.render.render import RenderSettings, render_scene, rgb_film
 

@@ -17,10 +17,10 @@ from engines.balls import Light, Scene
 from manifold.brdf.interface import EvaluableBRDF
 from manifold.colour.conversion import encode_srgb, srgb_to_xyz
 from manifold.colour.difference import delta_e_2000
+from manifold.core.records import Array
 from manifold.fit import exporting
 from manifold.fit.exports.document import TextureFiles
 from manifold.fit.exports.targets import Target
-from manifold.records import Array
 from manifold.render import backend, images
 from manifold.render.render import RenderSettings, render_scene, rgb_film
 from manifold.surface import bsdf, preview

@@ -18,7 +18,7 @@ COMMANDS: dict[str, str] = {
     "stability": "stability --only duplicates --only short_length_scale",
     "stability of fits": "stability --only brushed_fit --only out_of_gamut",
     "corpus": "corpus files --rgb",
-    "report": "report -M real.h5 --picture map.png",
+    "report": "report -M real.h5 --picture",
     "report spectral": "report -M spectral.h5 --all-bands",
     "report anchored": "report -M corpus.h5 --principled",
     "chart": "chart -L real.zarr --only nearest --only published --only pca_4_cube-root --only blend_2"
@@ -40,8 +40,8 @@ COMMANDS: dict[str, str] = {
     "render spectral-left-out/syn_satin_rose_spec.bsdf --environment light.exr --size 48 --samples 16 -o rose.png",
     "render places": "render --from places.csv -M real.h5 --size 32 --samples 8 -o balls",
     "compare": "compare cardboard 0.3,0.5 -M real.h5 --size 48 --samples 16 -o materials.png",
-    "page": "explore --html map.html -M real.h5",
-    "page spectral": "explore --html map.html -M spectral.h5",
+    "page": "explore -o map.html -M real.h5",
+    "page spectral": "explore -o map.html -M spectral.h5",
     # -- libraries
     "import": "import real -L own.zarr; info own.zarr --verify; import real-left-out -L own.zarr",
     "compact": "import real -L own.zarr; compact own.zarr --tolerance 0.3; embed -L own.zarr -M own.h5",
@@ -85,8 +85,6 @@ COMMANDS: dict[str, str] = {
     "locate": "locate real-left-out/paper_blue_rgb.bsdf -M real.h5 -o located.bsdf; locate 0.3,0.5 -M real.h5",
     "locate several": "locate real-left-out -M real.h5 -o located -j 1",
     "locate spectral": "locate spectral-left-out/syn_satin_rose_spec.bsdf -M spectral.h5 -o located.bsdf",
-    "locate photograph": f"locate --photo {_PHOTO} -M corpus.h5 -o located.bsdf --picture located.png",
-    "locate grey ball": f"locate --photo {_GREY} --circle 241,245,150 -M real.h5 -o located.bsdf",
     "reconstruct": "reconstruct real-left-out/paper_blue_rgb.bsdf -L real.zarr -o made.bsdf;"
     "reconstruct cardboard --without cardboard -L real.zarr -M real.h5 -o cardboard.bsdf",
     "reconstruct in 12 numbers": "reconstruct real-left-out/paper_blue_rgb.bsdf --numbers 12 -L real.zarr -o made.bsdf;"

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import reduce
 from typing import Any
 
 import numpy as np
 
+from manifold.core.records import Array
 from manifold.fit.exports import lobes, openpbr
 from manifold.fit.exports.document import Export, Parameter, defaults, tint_parameter
 from manifold.fit.exports.lobes import ShadingPairs, per_pairs, zeltner_layer
 from manifold.fit.exports.principled_values import Principled, ior_to_f0
+from manifold.fit.exports.targets import FLAKES, Target
 from manifold.fit.exports.thin_film import film_over_f82, film_over_index_cycles
-from manifold.records import Array
 
 PARAMETERS = {
     "Base Color": Parameter([0.8, 0.8, 0.8], is_free=True),
@@ -164,7 +166,7 @@ def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
         fresnel = lobes.fresnel_f82(base, np.minimum(tint, 1.0), pairs.cos_d)
         if film is not None:
             fresnel = _metal_film(pairs, *film, base, np.minimum(tint, 1.0))
-        mean = base + (1.0 - base) / 21.0 - lobes.f82_dip(base, np.minimum(tint, 1.0)) / 126.0
+        mean = lobes.mean_f82(base, np.minimum(tint, 1.0))
         scattered, _ = _scattered(pairs, mean, alpha_x, alpha_y)
         f = (1.0 - m) * f + m * lobes.specular_joint(pairs, alpha_x, alpha_y)[:, None] * fresnel * scattered
     if values["Coat Weight"]:
@@ -193,8 +195,8 @@ def _interface(
         tinted = np.clip((1.0 - found) / (1.0 - real), 0.0, 1.0)  # less towards grazing
         return found * (1.0 + tinted * (f0 / real - 1.0)) if real > 1e-5 else found
 
-    mean = (ior - 1.0) / (4.08567 + 1.00071 * ior)  # over the hemisphere: Kulla & Conty 2017
-    scattered, single = _scattered(pairs, between(max((mean - real) / (1.0 - real), 0.0)), alpha_x, alpha_y)
+    mean = between(max((lobes.mean_dielectric(ior) - real) / (1.0 - real), 0.0))
+    scattered, single = _scattered(pairs, mean, alpha_x, alpha_y)
     fresnel: Array
     albedo: Array
     if film is None:
@@ -229,3 +231,34 @@ def _scattered(pairs: ShadingPairs, mean: Array, alpha_x: float, alpha_y: float)
     single, average = lobes.single_scattering(pairs, float(np.sqrt(alpha_x * alpha_y)))
     multiple = mean * average / (1.0 - mean * (1.0 - average))
     return 1.0 + multiple * (1.0 - single) / single, single
+
+
+BLENDER = Target(
+    name="blender",
+    suffix=".py",
+    title="Blender 4 and later, Principled BSDF, a script",
+    entries=PARAMETERS,
+    parameters=parameters,
+    brdf=brdf,
+    content=lambda export: script(export).encode(),
+    base_colour=BASE_COLOUR,
+    coat=COAT,
+    sheen=SHEEN,
+    film=FILM,
+    textures=FLAKES,
+)
+
+_CONVENTIONS = {
+    "Base Color": "scene-linear Rec. 709 (sRGB primaries), 0 to 1",
+    "Roughness": "0 to 1; GGX alpha is its square; Coat Roughness alike",
+    "IOR": "of the surface; Specular IOR Level 0.5 leaves its reflectance as it is",
+}
+
+BLENDER_JSON = replace(
+    BLENDER,
+    name="blender-json",
+    suffix=".json",
+    title="Blender 4 and later, Principled BSDF, values",
+    content=lambda export: export.json_file(_CONVENTIONS),
+    textures=(),
+)

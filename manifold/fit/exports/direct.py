@@ -11,13 +11,13 @@ from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
 from manifold.colour.difference import VISIBLE
+from manifold.core.records import Array
 from manifold.fit.exports.document import CURVE_COSINES
 from manifold.fit.exports.lobes import ShadingPairs
 from manifold.fit.exports.principled_values import snapped
-from manifold.fit.exports.targets import Target, TargetBRDF
+from manifold.fit.exports.targets import Target
 from manifold.fit.fit_metrics import Criterion
 from manifold.fit.fit_samples import FitSamples
-from manifold.records import Array
 
 _PAIRS = 512
 _COAT, _COAT_ROUGHNESS = 0.3, 0.6  # of the second start: long tails come from a rough coat
@@ -35,9 +35,11 @@ _PROMISING = ((4, 1.0), (8, 0.92))
 def fit_target(target: Target, start: Mapping[str, Any], samples: FitSamples) -> dict[str, Any]:
     """Fit the parameters of a target, all of them, so that its model is nearest to a material.
 
+    If programs evaluate the model differently, the sum of their squared residuals is minimised.
+
     A thin film, or where the target has none a base colour by the angle of view, is tried where the ball differs
-    visibly without. A sheen keeps the hue of its start, where there is none grey; its colour is free where that is
-    nearer to all samples as well, of which the fit sees a part.
+    visibly without, and kept where it brings every program's ball nearer. A sheen keeps the hue of its start, where
+    there is none grey; its colour is free where that is nearer to all samples as well, of which the fit sees a part.
 
     Args:
         target: whose model.
@@ -58,14 +60,14 @@ def fit_target(target: Target, start: Mapping[str, Any], samples: FitSamples) ->
             )
             y, with_colour = coloured.nearest([coloured.vector(problem.rounded(x))])
             gains = (
-                coloured.ball_difference(y) / problem.ball_difference(x),
+                coloured.ball_differences(y) / problem.ball_differences(x),
                 (coloured.relative(y, unseen) / problem.relative(x, unseen)) ** 2,
             )
-            if max(gains) < _GAIN:
+            if np.max(gains) < _GAIN:
                 problem, x, cost, hued = coloured, y, with_colour, fixed
         found = problem.rounded(x)
-        difference = problem.ball_difference(x)
-        if difference <= VISIBLE:
+        without = problem.losses(x)
+        if np.max(problem.ball_differences(x)) <= VISIBLE:
             return found
         more, starts = problem, list[Array]()
         if target.film:
@@ -77,8 +79,8 @@ def fit_target(target: Target, start: Mapping[str, Any], samples: FitSamples) ->
             more = _Problem(target, begun, [*(name for name in free if name != base), curve], few, hued)
             starts = [more.vector(begun)]
         if starts:
-            x, with_more = more.nearest(starts, cost if target.film else np.inf)
-            if with_more < _GAIN * cost and more.ball_difference(x) < _GAIN * difference:
+            x, _ = more.nearest(starts, cost if target.film else np.inf)
+            if np.all(more.losses(x) < _GAIN * without):
                 return more.rounded(x)
     return found
 
@@ -214,8 +216,9 @@ class _Problem:
         return np.concatenate([self._rows(x).ravel(), self._ridge * (x - self._begin)])
 
     def _rows(self, x: Array) -> Array:
-        """Return the relative residuals of the criterion, shape (R, 3)."""
-        return self._criterion.residual(self._f_cos(x)) / self._criterion.norm
+        """Return the relative residuals of the criterion, (R, 3), those of one implementation after the other."""
+        rows = self._criterion.residual(self._f_cos(x)) / self._criterion.norm
+        return (rows / np.sqrt(len(rows))).reshape(-1, rows.shape[-1])
 
     def jacobian(self, x: Array, *, is_exact: bool = True) -> Array:
         """Return the derivatives of the residuals, by forward differences.
@@ -236,17 +239,27 @@ class _Problem:
                 found[:, channels, columns] = moved / step[columns]
         return np.concatenate([found.reshape(-1, len(x)), np.diag(self._ridge)])
 
-    def ball_difference(self, x: Array) -> float:
-        """Return the mean CIEDE2000 of the ball, in the light of the fit."""
-        return self._criterion.ball_difference(self._f_cos(x))
+    def ball_differences(self, x: Array) -> Array:
+        """Return the mean CIEDE2000 of the ball in the light of the fit, by implementation (I,)."""
+        return np.array([self._criterion.ball_difference(f_cos) for f_cos in self._f_cos(x)])
 
-    def relative(self, x: Array, samples: FitSamples) -> float:
-        """Return the relative residual of other samples."""
-        f_cos = TargetBRDF(self._target, self._values(x)).eval(samples.wi, samples.wo) * samples.wo[:, 2:]
-        return Criterion(samples, "appearance").relative(f_cos)
+    def losses(self, x: Array) -> Array:
+        """Return squared residuals and differences of balls, by implementation, (2, I)."""
+        squares = np.sum(self._criterion.residual(self._f_cos(x)) ** 2, axis=(1, 2))
+        return np.stack([squares, self.ball_differences(x)])
+
+    def relative(self, x: Array, samples: FitSamples) -> Array:
+        """Return the relative residuals of other samples, by implementation (I,)."""
+        criterion, pairs = Criterion(samples, "appearance"), ShadingPairs.of(samples.wi, samples.wo)
+        values = self._values(x)
+        return np.array(
+            [criterion.relative(brdf(values, pairs) * samples.wo[:, 2:]) for brdf in self._target.brdfs]
+        )
 
     def _f_cos(self, x: Array) -> Array:
-        return self._target.brdf(self._values(x), self._pairs) * self._pairs.light[:, 2:]
+        """Return values by implementation, (I, P, 3)."""
+        values = self._values(x)
+        return np.stack([brdf(values, self._pairs) * self._pairs.light[:, 2:] for brdf in self._target.brdfs])
 
     def rounded(self, x: Array) -> dict[str, Any]:
         """Return the parameters, with values near 0 and 1 rounded.

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from manifold import __version__
-from manifold.metrics import Errors
+from manifold.core.metrics import Errors
 
 
 @dataclass(frozen=True)
@@ -85,13 +86,17 @@ class Export:
     Attributes:
         name: of the material.
         target: name of the target.
-        parameters: of the target, all that it knows; colours are linear sRGB from 0 to 1.
+        parameters: of the target, all that it knows; colours are from 0 to 1.
         source: where the parameters come from, plain values.
         errors: of the ball of the target's own model, from what `against` names.
         principled_errors: those of Mitsuba's `principled`; None where that is what `against` names.
         against: `measured file`, `prediction` or `fit`.
         beside: parameters of `Target.beside`; None if the target has none.
         textures: in place of the base colour and the flat normal; None for one material everywhere.
+        implementations: errors by the names of programs that evaluate the parameters differently, `errors` the worst of
+            them; empty if one is known.
+        colour_space: of all colours.
+        caveat: what users of the target should know; empty for most targets.
     """
 
     name: str
@@ -103,6 +108,9 @@ class Export:
     against: str
     beside: Mapping[str, Any] | None = None
     textures: TextureFiles | None = None
+    implementations: Mapping[str, Errors[float]] = field(default_factory=dict)
+    colour_space: str = "linear Rec. 709"
+    caveat: str = ""
 
     @property
     def label(self) -> str:
@@ -111,7 +119,7 @@ class Export:
 
     def about(self) -> dict[str, Any]:
         """Return everything but the parameters, as plain values."""
-        return {
+        made: dict[str, Any] = {
             "program": f"manifold {__version__}",
             "material": self.name,
             "target": self.target,
@@ -119,20 +127,34 @@ class Export:
             "errors": self.errors.to_json(),
             "principled_errors": self.principled_errors and self.principled_errors.to_json(),
             "against": self.against,
-            **(
-                {}
-                if self.textures is None
-                else {"textures": {k: path.name for k, path in self.textures.named.items()}}
-            ),
+            "colour_space": self.colour_space,
         }
+        if self.implementations:
+            made["implementations"] = {name: each.to_json() for name, each in self.implementations.items()}
+        if self.caveat:
+            made["caveat"] = self.caveat
+        if self.textures is not None:
+            made["textures"] = {k: path.name for k, path in self.textures.named.items()}
+        return made
 
     def sentence(self) -> str:
         """Return one line for people."""
+        caveat = f"; {self.caveat}" if self.caveat else ""
         return (
-            f"{self.label}: Exported by manifold {__version__} for {self.target}; "
-            f"CIEDE2000 of the ball against the {self.against}: {self.errors}"
+            f"{self.label}: Exported by manifold {__version__} for {self.target}; colours are {self.colour_space}; "
+            f"CIEDE2000 of the ball against the {self.against}: {self.errors_in_words()}{caveat}"
         )
+
+    def errors_in_words(self) -> str:
+        """Return the errors, of each implementation if there are several."""
+        each = [f"{errors} in {name}" for name, errors in self.implementations.items()]
+        return ", ".join(each) or str(self.errors)
 
     def to_json(self) -> dict[str, Any]:
         """Return plain values."""
         return self.about() | {"parameters": dict(self.parameters)}
+
+    def json_file(self, conventions: Mapping[str, str], **more: Any) -> bytes:
+        """Return a file of plain values, with the conventions of the parameters."""
+        made = self.to_json() | {"about": self.sentence(), "conventions": dict(conventions)} | more
+        return (json.dumps(made, indent=2, allow_nan=False) + "\n").encode()

@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 
 from manifold import __version__
+from manifold.core.records import Array
 from manifold.fit.exports import gltf
 from manifold.fit.exports.document import Export
-from manifold.records import Array
+from manifold.fit.exports.targets import FLAKES, Target
 
 _COLUMNS, _ROWS = 64, 32
 
@@ -189,3 +190,19 @@ def _add(
         accessor |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
     document["accessors"].append(accessor)
     return len(document["accessors"]) - 1
+
+
+GLTF = Target(
+    name="gltf",
+    suffix=".glb",
+    title="glTF 2.0, metallic-roughness and extensions",
+    entries=gltf.PARAMETERS,
+    parameters=gltf.parameters,
+    brdf=gltf.brdf,
+    content=glb,
+    base_colour=gltf.BASE_COLOUR,
+    coat=gltf.COAT,
+    sheen=gltf.SHEEN,
+    film=gltf.FILM,
+    textures=FLAKES,
+)

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from manifold.directions import from_spherical
+from manifold.core.directions import from_spherical
+from manifold.core.records import Array
 from manifold.fit.exports import lobes
 from manifold.fit.exports.document import Parameter, defaults, tint_parameter
 from manifold.fit.exports.lobes import ShadingPairs, per_pairs
 from manifold.fit.exports.principled_values import Principled, ior_to_f0
 from manifold.fit.exports.thin_film import film_over_f0
-from manifold.records import Array
 
 SHEEN_SCALE, SHEEN_ROUGHNESS = 0.124, 0.375  # nearest in directional albedo
 

@@ -15,16 +15,16 @@ import numpy as np
 
 from manifold.analytic.fresnel import fresnel_dielectric
 from manifold.analytic.ggx import GGX
-from manifold.directions import normalize, rotate_z
+from manifold.core.directions import gauss_legendre, normalize, rotate_z
+from manifold.core.records import Array, Indices
 from manifold.fit.exports.principled_values import ior_to_f0
-from manifold.records import Array, Indices
 
-# Of albedo tables: cosines, and samples per axis of the distribution of visible normals.
-_NODES, _SAMPLES = 33, 24
+# Of albedo tables: cosines, and azimuths and steepnesses of facets in the quadrature of each.
+_NODES, _AZIMUTHS, _STEEPNESSES = 33, 16, 48
 _ROUGHNESSES = 32  # steps of these tables by the root of alpha
 _COSINES = np.maximum(np.linspace(0.0, 1.0, _NODES) ** 2, 1e-3)  # with the normal: dense at grazing
 _LEAST_ALPHA = 1e-4
-_KEPT = 48  # results that pairs keep: more than the derivatives of a model take from it
+_KEPT = 96  # results that pairs keep: more than the derivatives of a model take from it
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -137,6 +137,16 @@ def artistic_index(reflectivity: Array, edge: Array, most: float = 0.99) -> tupl
     return n, np.sqrt(np.maximum(k2, 0.0))
 
 
+def mean_f82(f0: Array, edge: Array) -> Array:
+    """Return the mean of F82-tint over the hemisphere, (3,)."""
+    return f0 + (1.0 - f0) / 21.0 - f82_dip(f0, edge) / 126.0
+
+
+def mean_dielectric(ior: float) -> float:
+    """Return the mean of a dielectric's reflectance over the hemisphere. Source: Kulla & Conty 2017."""
+    return (ior - 1.0) / (4.08567 + 1.00071 * ior)
+
+
 @per_pairs
 def split_sum(pairs: ShadingPairs, alpha: float) -> tuple[Array, Array]:
     """Return A and B of the viewer's albedo `f0 A + f90 B` of a correlated GGX lobe with Schlick's Fresnel, each (P,).
@@ -176,7 +186,7 @@ def cubic(at: Array | float, count: int) -> tuple[Indices, tuple[Array, Array, A
 def _split_sum_table(node: int) -> Array:
     weight, cos_d = _visible_reflections(node)
     f = (1.0 - cos_d) ** 5
-    return np.stack([(weight * (1.0 - f)).mean(axis=1), (weight * f).mean(axis=1)])
+    return np.stack([(weight * (1.0 - f)).sum(axis=1), (weight * f).sum(axis=1)])
 
 
 @per_pairs
@@ -199,23 +209,45 @@ def _dielectric_table(node: int, ior: float) -> Array:
     weight, cos_d = _visible_reflections(node)
     f = fresnel_dielectric(cos_d.ravel(), np.array([ior])).reshape(cos_d.shape)
     f0 = ((ior - 1.0) / (ior + 1.0)) ** 2
-    return np.asarray((weight * (f - f0)).mean(axis=1) / (weight.mean(axis=1) * (1.0 - f0)))
+    return np.asarray((weight * (f - f0)).sum(axis=1) / (weight.sum(axis=1) * (1.0 - f0)))
 
 
 @lru_cache(maxsize=_ROUGHNESSES + 1)
 def _visible_reflections(node: int) -> tuple[Array, Array]:
-    """Return weights (C, S) and cosines with the half vector (C, S) of a lobe's samples, at each of `_COSINES`."""
-    alpha = max((node / _ROUGHNESSES) ** 2, 1e-3)
-    ggx = surface(alpha, alpha)
-    u = np.stack(np.meshgrid(*[(np.arange(_SAMPLES) + 0.5) / _SAMPLES] * 2), axis=-1).reshape(-1, 2)
-    view = np.stack([np.sqrt(1.0 - _COSINES**2), np.zeros(_NODES), _COSINES], axis=1)[:, None]  # [C, 1, 3]
+    """Return `visible_reflections` of height-correlated masking at a node of roughness, at each of `_COSINES`."""
+    return visible_reflections((node / _ROUGHNESSES) ** 2, _COSINES)
+
+
+def visible_reflections(alpha: float, cosines: Array, *, is_correlated: bool = True) -> tuple[Array, Array]:
+    """Return shares of samples in a GGX lobe's albedo (C, S), without Fresnel, and cosines with their facets (C, S).
+
+    Samples are nodes of a quadrature over the distribution of visible normals: azimuths of one half, and Gauss-Legendre
+    nodes that lie closer towards steep facets.
+
+    Args:
+        alpha: of the lobe, kept from 0.
+        cosines: between view and normal, (C,), above 0.
+        is_correlated: whether masking of both directions is correlated with heights, else it is a product.
+    """
+    ggx = surface(max(alpha, 1e-3), max(alpha, 1e-3))
+    x, share = gauss_legendre(_STEEPNESSES)
+    nodes = 0.5 * (x + 1.0)
+    azimuths = 0.5 * (np.arange(_AZIMUTHS) + 0.5) / _AZIMUTHS
+    u = np.stack(np.meshgrid(azimuths, 1.0 - nodes**2, indexing="ij"), axis=-1).reshape(-1, 2)
+    weight = np.tile(nodes * share, _AZIMUTHS) / _AZIMUTHS
+    view = np.stack([np.sqrt(1.0 - cosines**2), np.zeros(len(cosines)), cosines], axis=1)[
+        :, None
+    ]  # [C, 1, 3]
     normal = ggx.sample_visible_normal(view, u)
     cos_d = np.sum(view * normal, axis=-1)
     light = 2.0 * cos_d[..., None] * normal - view
     lit = light[..., 2] > 0.0
     light[~lit] = (0.0, 0.0, 1.0)
-    weight = light[..., 2] * ggx.reflection_factor(view, light) / ggx.pdf_reflection(view, light)
-    return np.where(lit, weight, 0.0), np.clip(cos_d, 0.0, 1.0)
+    if is_correlated:
+        kept = light[..., 2] * ggx.reflection_factor(view, light) / ggx.pdf_reflection(view, light)
+    else:
+        kept = 2.0 * light[..., 2] / (light[..., 2] + ggx.stretched_length(light))
+    return np.where(lit, weight * kept, 0.0), np.clip(cos_d, 0.0, 1.0)
 
 
 def charlie(pairs: ShadingPairs, roughness: float) -> Array:

@@ -8,8 +8,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from manifold.fit.exports import openpbr, standard_surface
+from manifold.fit.exports import openpbr, openpbr_adobe, standard_surface
 from manifold.fit.exports.document import Export, TextureFiles
+from manifold.fit.exports.targets import FLAKES, Target
 
 NODES: dict[str, tuple[str, Mapping[str, Any]]] = {
     "openpbr": ("open_pbr_surface", openpbr.DEFAULTS),
@@ -108,3 +109,35 @@ def _textured(
 
 def _number(value: float) -> str:
     return f"{value:.9g}"
+
+
+OPENPBR = Target(
+    name="openpbr",
+    suffix=".mtlx",
+    title="MaterialX, open_pbr_surface",
+    entries=openpbr.PARAMETERS,
+    parameters=openpbr.parameters,
+    brdf=openpbr.brdf,
+    content=mtlx,
+    base_colour=openpbr.BASE_COLOUR,
+    coat=openpbr.COAT,
+    sheen=openpbr.SHEEN,
+    film=openpbr.FILM,
+    textures=FLAKES,
+    implementations={"MaterialX": openpbr.brdf, "openpbr-bsdf": openpbr_adobe.brdf},
+)
+
+STANDARD_SURFACE = Target(
+    name="standard-surface",
+    suffix=".mtlx",
+    title="MaterialX, standard_surface",
+    entries=standard_surface.PARAMETERS,
+    parameters=standard_surface.parameters,
+    brdf=standard_surface.brdf,
+    content=mtlx,
+    base_colour=standard_surface.BASE_COLOUR,
+    coat=standard_surface.COAT,
+    sheen=standard_surface.SHEEN,
+    film=standard_surface.FILM,
+    textures=FLAKES,
+)

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
+from manifold.core.records import Array
 from manifold.fit.exports import lobes
 from manifold.fit.exports.document import Parameter, defaults, tint_parameter
 from manifold.fit.exports.lobes import ShadingPairs, dielectric_layer, metal, per_pairs, zeltner_layer
 from manifold.fit.exports.principled_values import Principled, ior_to_f0
 from manifold.fit.exports.thin_film import film_over_f82_materialx, film_over_index
-from manifold.records import Array
 
 FUZZ_SCALE, FUZZ_ROUGHNESS = 0.126, 0.45  # nearest in directional albedo
 
@@ -76,7 +76,7 @@ def _below_coat(values: Mapping[str, Any]) -> float:
     """Return the roughness that the coat roughens to the wanted one; 0 if the coat is rougher by itself."""
 
     def excess(roughness: float) -> float:
-        return _roughened(roughness, values["coat_roughness"], values["coat_weight"]) - wanted
+        return roughened(roughness, 2.0 * values["coat_roughness"] ** 4, values["coat_weight"]) - wanted
 
     wanted = float(values["specular_roughness"])
     if excess(wanted) <= 0.0:
@@ -84,9 +84,9 @@ def _below_coat(values: Mapping[str, Any]) -> float:
     return 0.0 if excess(0.0) >= 0.0 else float(brentq(excess, 0.0, wanted, xtol=1e-9))
 
 
-def _roughened(roughness: float, coat_roughness: float, weight: float) -> float:
-    below: float = min(roughness**4 + 2.0 * coat_roughness**4, 1.0) ** 0.25
-    return (1.0 - weight) * roughness + weight * below
+def roughened(roughness: float, added: float, weight: float) -> float:
+    """Return the roughness below a layer of a weight, which adds something to the fourth power of it."""
+    return (1.0 - weight) * roughness + weight * min(roughness**4 + added, 1.0) ** 0.25
 
 
 def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
@@ -101,8 +101,8 @@ def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
     pairs = pairs.turned(np.deg2rad(values["geometry_tangent"]))
     base = np.asarray(values["base_color"]) * values["base_weight"]
     weight = values["coat_weight"]
-    alpha_x, alpha_y = _alphas(
-        _roughened(values["specular_roughness"], values["coat_roughness"], weight),
+    alpha_x, alpha_y = alphas(
+        roughened(values["specular_roughness"], 2.0 * values["coat_roughness"] ** 4, weight),
         values["specular_roughness_anisotropy"],
     )
     ratio = values["specular_ior"] / values["coat_ior"]
@@ -122,7 +122,7 @@ def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
         filmed = substrate(_dielectric_film(pairs, *layer, ior), _metal_film(pairs, *layer, base, tint))
         f = (1.0 - film) * f + film * filmed
     f = f * _darkening(values, base)
-    coat_x, coat_y = _alphas(values["coat_roughness"], 0.0)
+    coat_x, coat_y = alphas(values["coat_roughness"], 0.0)
     f = dielectric_layer(pairs, f, values["coat_ior"], coat_x, coat_y, weight=weight)
     return zeltner_layer(
         pairs, f, values["fuzz_weight"], np.asarray(values["fuzz_color"]), values["fuzz_roughness"]
@@ -139,7 +139,8 @@ def _metal_film(pairs: ShadingPairs, film_ior: float, thickness_nm: float, f0: A
     return film_over_f82_materialx(film_ior, thickness_nm, f0, edge, pairs.cos_d)
 
 
-def _alphas(roughness: float, anisotropy: float) -> tuple[float, float]:
+def alphas(roughness: float, anisotropy: float) -> tuple[float, float]:
+    """Return GGX alpha along the tangent and across."""
     across = 1.0 - anisotropy
     alpha_x = roughness**2 * float(np.sqrt(2.0 / (1.0 + across**2)))
     return alpha_x, across * alpha_x

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from manifold.core.records import Array
 from manifold.fit.exports import lobes
 from manifold.fit.exports.document import Parameter, defaults
 from manifold.fit.exports.lobes import ShadingPairs, per_pairs
 from manifold.fit.exports.principled_values import Principled, ior_to_f0
-from manifold.records import Array
 
 PARAMETERS = {
     "useSpecularWorkflow": Parameter(0),

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from manifold.analytic.principled import LUMINANCE
-from manifold.errors import UsageError
-from manifold.records import Array
+from manifold.core.errors import UsageError
+from manifold.core.records import Array
 
 _END = 1e-4  # values nearer than this to an end of their range are set to the end
 

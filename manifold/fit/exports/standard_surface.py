@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from manifold.analytic.fresnel import fresnel_conductor
+from manifold.core.records import Array
 from manifold.fit.exports import lobes
 from manifold.fit.exports.document import Parameter, defaults, tint_parameter
 from manifold.fit.exports.lobes import ShadingPairs, dielectric_layer, imageworks_layer, metal, per_pairs
 from manifold.fit.exports.principled_values import Principled
 from manifold.fit.exports.thin_film import film_over_index
-from manifold.records import Array
 
 SHEEN_SCALE, SHEEN_ROUGHNESS = 0.091, 0.125  # nearest in directional albedo
 

@@ -1,38 +1,39 @@
-"""The targets of exports: names, suffixes, parameters, shading models and writers."""
+"""A target of exports: its names, suffix, parameters, shading model and writer, made by the module of its file."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from manifold.errors import UsageError
-from manifold.fit.exports import (
-    blender,
-    glb,
-    gltf,
-    materialx,
-    openpbr,
-    preview_surface,
-    standard_surface,
-    unity,
-    unreal,
-    usd,
-)
+from manifold.core.errors import UsageError
+from manifold.core.records import Array, Bands
 from manifold.fit.exports.document import Export, Parameter, defaults
 from manifold.fit.exports.lobes import ShadingPairs
 from manifold.fit.exports.principled_values import Principled
-from manifold.records import Array, Bands
-from manifold.registries import EXPORT_SUFFIXES, EXPORTS_IN_WORDS
+from manifold.registries import EXPORTS_IN_WORDS
 from manifold.registries import TARGETS as TARGETS
 
 Brdf = Callable[[Mapping[str, Any], ShadingPairs], Array]
 Content = Callable[[Export], bytes]
+
+
+RELIEF = ("base_colour", "normal")
+"""The textures of targets whose coats take none."""
+
+FLAKES = (*RELIEF, "coat", "coat_normal")
+"""The textures of targets whose coats take them, for flakes."""
+
+
+def uncompared(engine: str) -> str:
+    """Return the caveat of a target whose shading model is known by its published formulas only."""
+    return (
+        f"never compared with a render of {engine}: the model is that of its published formulas; "
+        "--target shader writes the BRDF itself"
+    )
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,10 @@ class Target:
         hued: colours whose hue no fit changes, since renderers disagree on what another one does.
         textures: what its documents take of `TextureFiles`; empty where they take none.
         beside: another target whose parameters its files also hold; None for most targets.
+        implementations: BRDFs by the names of programs that evaluate the parameters differently, `brdf` the first of
+            them: fits suit all. Empty if one is known.
+        colour_space: of all its colours.
+        caveat: what its files say to their users; empty for most targets.
     """
 
     name: str
@@ -64,13 +69,21 @@ class Target:
     brdf: Brdf
     content: Content
     base_colour: str
-    coat: tuple[str, ...]
-    sheen: tuple[str, ...]
-    film: tuple[str, ...]
+    coat: tuple[str, ...] = ()
+    sheen: tuple[str, ...] = ()
+    film: tuple[str, ...] = ()
     curve: tuple[str, ...] = ()
     hued: tuple[str, ...] = ()
     textures: tuple[str, ...] = ()
     beside: str | None = None
+    implementations: Mapping[str, Brdf] = field(default_factory=dict)
+    colour_space: str = "linear Rec. 709"
+    caveat: str = ""
+
+    @property
+    def brdfs(self) -> tuple[Brdf, ...]:
+        """Return the BRDFs of all implementations."""
+        return tuple(self.implementations.values()) or (self.brdf,)
 
     @property
     def defaults(self) -> dict[str, Any]:
@@ -80,10 +93,11 @@ class Target:
 
 @dataclass(frozen=True)
 class TargetBRDF:
-    """A target's own model with values of its parameters, as a BRDF in linear sRGB."""
+    """A target's own model with values of its parameters, as a BRDF in linear sRGB; by one of its implementations."""
 
     target: Target
     values: Mapping[str, Any]
+    implementation: str | None = None
     bands: Bands = Bands(None)  # noqa: RUF009
     is_isotropic: bool = True
 
@@ -92,79 +106,11 @@ class TargetBRDF:
         wi, wo = np.broadcast_arrays(wi, wo)
         above = (wi[..., 2] > 0.0) & (wo[..., 2] > 0.0)
         f = np.zeros(wi.shape)
-        f[above] = self.target.brdf(self.values, ShadingPairs.of(wi[above], wo[above]))
+        brdf = self.target.brdf
+        if self.implementation is not None:
+            brdf = self.target.implementations[self.implementation]
+        f[above] = brdf(self.values, ShadingPairs.of(wi[above], wo[above]))
         return f
-
-
-def _json(conventions: Mapping[str, str]) -> Content:
-    def content(export: Export) -> bytes:
-        made = export.to_json() | {"about": export.sentence(), "conventions": dict(conventions)}
-        if export.target == "unreal":
-            made["shading_model"] = unreal.shading_model(export.parameters)
-        return (json.dumps(made, indent=2, allow_nan=False) + "\n").encode()
-
-    return content
-
-
-_BLENDER = {
-    "Base Color": "scene-linear Rec. 709 (sRGB primaries), 0 to 1",
-    "Roughness": "0 to 1; GGX alpha is its square; Coat Roughness alike",
-    "IOR": "of the surface; Specular IOR Level 0.5 leaves its reflectance as it is",
-}
-
-
-_RELIEF = ("base_colour", "normal")
-_FLAKES = (*_RELIEF, "coat", "coat_normal")
-
-
-def _target(
-    name: str, title: str, model: ModuleType, content: Content, textures: tuple[str, ...] = (),
-    beside: str | None = None,
-) -> Target:  # fmt: skip
-    """Make a target from the parameters and shading model of a module."""
-    sheen, film, curve, hued = (getattr(model, names, ()) for names in ("SHEEN", "FILM", "CURVE", "HUED"))
-    return Target(
-        name,
-        EXPORT_SUFFIXES[name],
-        title,
-        model.PARAMETERS,
-        model.parameters,
-        model.brdf,
-        content,
-        model.BASE_COLOUR,
-        model.COAT,
-        sheen,
-        film,
-        curve,
-        hued,
-        textures,
-        beside,
-    )
-
-
-GLTF = _target("gltf", "glTF 2.0, metallic-roughness and extensions", gltf, glb.glb, _FLAKES)
-OPENPBR = _target("openpbr", "MaterialX, open_pbr_surface", openpbr, materialx.mtlx, _FLAKES)
-STANDARD_SURFACE = _target(
-    "standard-surface",
-    "MaterialX, standard_surface",
-    standard_surface,
-    materialx.mtlx,
-    _FLAKES,
-)
-USD = _target("usd", "USD, UsdPreviewSurface", preview_surface, lambda e: usd.usda(e).encode(), _RELIEF)
-USD_MATERIALX = _target(
-    "usd-materialx", "USD, UsdPreviewSurface with OpenPBR beside it for MaterialX renderers", preview_surface,
-    lambda e: usd.usda(e).encode(), beside="openpbr",
-)  # fmt: skip
-BLENDER = _target(
-    "blender", "Blender 4 and later, Principled BSDF, a script", blender, lambda e: blender.script(e).encode(),
-    _FLAKES,
-)  # fmt: skip
-BLENDER_JSON = _target(
-    "blender-json", "Blender 4 and later, Principled BSDF, values", blender, _json(_BLENDER)
-)
-UNREAL = _target("unreal", "Unreal Engine 5, Default Lit or Clear Coat", unreal, _json(unreal.CONVENTIONS))
-UNITY = _target("unity", "Unity, High Definition pipeline, Lit", unity, _json(unity.CONVENTIONS))
 
 
 def target_of(name: str | None, path: Path) -> Target:

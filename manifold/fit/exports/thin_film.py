@@ -16,8 +16,8 @@ import numpy as np
 from manifold.analytic.fresnel import fresnel_polarised
 from manifold.colour.conversion import SRGB_TO_XYZ, sensor_responses, xyz_to_srgb
 from manifold.colour.illuminants import Illuminant
+from manifold.core.records import Array
 from manifold.fit.exports.lobes import artistic_index, cubic, fresnel_f82, schlick
-from manifold.records import Array
 
 Reflectance = TypeVar("Reflectance", bound=Callable[..., Array])
 Sensitivity = Callable[[Array, Array], Array]
@@ -109,6 +109,38 @@ def film_over_f82_materialx(ior: float, thickness_nm: float, f0: Array, edge: Ar
     root = np.sqrt(np.clip(f0, 0.01, 0.99))
     phase = np.where((1.0 + root) / (1.0 - root) < ior, np.pi, 0.0)
     return _from_xyz(_airy(ior, thickness_nm, (below, below), (phase, phase), cosine, _xyz))
+
+
+@_tabulated
+def film_at_wavelengths(
+    wavelengths_nm: tuple[float, ...], outside: float, ior: float, thickness_nm: float, n: Array, k: Array,
+    cosine: Array,
+) -> Array:  # fmt: skip
+    """Return the reflectance of a film at single wavelengths, shape (P, B), in [0, 1].
+
+    Args:
+        wavelengths_nm: B of them.
+        outside: index of the medium above the film; beyond the critical angle to it, all light is reflected.
+        ior, thickness_nm, cosine: as in `film_over_f0`.
+        n, k: of the surface, (B,).
+    Source: Born & Wolf, section 7.6, both polarisations, all orders; OpenPBR 1.1, "Thin-film iridescence", which takes
+    indices of metals by Gulbrandsen 2014.
+    """
+    across = (outside * np.sqrt(1.0 - cosine**2))[:, None]  # index times sine, the same in all media
+    above, film = np.maximum(outside * cosine, 1e-9)[:, None], np.emath.sqrt(ior**2 - across**2)
+    below = np.sqrt(
+        (n + 1j * k) ** 2 - across**2
+    )  # the index times the cosine; it decays, as numpy's root has it
+    turn = np.exp(4j * np.pi * film * thickness_nm / np.asarray(wavelengths_nm))
+    total = np.zeros((len(cosine), len(n)))
+    for power in (
+        0.0,
+        2.0,
+    ):  # perpendicular: index times cosine, and parallel: that over the square of the index
+        a, b, c = above / outside**power, film / ior**power, below / (n + 1j * k) ** power
+        first, second = (a - b) / (a + b), (b - c) / (b + c)
+        total += 0.5 * np.abs((first + second * turn) / (1.0 + first * second * turn)) ** 2
+    return np.where(across >= ior, 1.0, np.clip(total, 0.0, 1.0))
 
 
 @_tabulated

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from manifold.colour.conversion import decode_srgb, encode_srgb
+from manifold.core.records import Array
 from manifold.fit.exports import lobes
 from manifold.fit.exports.document import Parameter, defaults
 from manifold.fit.exports.lobes import ShadingPairs
 from manifold.fit.exports.principled_values import Principled
-from manifold.records import Array
+from manifold.fit.exports.targets import Target, uncompared
 
 PARAMETERS = {
     "_BaseColor": Parameter([1.0, 1.0, 1.0], is_free=True),
@@ -104,3 +105,18 @@ def _burley(pairs: ShadingPairs, roughness: float) -> Array:
     at_light = 1.0 + (f90 - 1.0) * (1.0 - pairs.cos_l) ** 5
     at_view = 1.0 + (f90 - 1.0) * (1.0 - pairs.cos_v) ** 5
     return (at_light * at_view / (1.03571 * np.pi))[:, None]
+
+
+UNITY = Target(
+    name="unity",
+    suffix=".json",
+    title="Unity, High Definition pipeline, Lit",
+    entries=PARAMETERS,
+    parameters=parameters,
+    brdf=brdf,
+    content=lambda export: export.json_file(CONVENTIONS),
+    base_colour=BASE_COLOUR,
+    coat=COAT,
+    colour_space="sRGB-encoded, as Unity's colour properties are",
+    caveat=uncompared("Unity"),
+)

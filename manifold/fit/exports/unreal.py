@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from manifold.core.records import Array
 from manifold.fit.exports import lobes
 from manifold.fit.exports.document import CURVE_COSINES, Parameter, defaults
 from manifold.fit.exports.lobes import ShadingPairs
 from manifold.fit.exports.principled_values import Principled
-from manifold.records import Array
+from manifold.fit.exports.targets import Target, uncompared
 
 PARAMETERS = {
     "BaseColor": Parameter([0.5, 0.5, 0.5], is_free=True),
@@ -96,3 +97,18 @@ def _base(values: Mapping[str, Any], cosine: Array) -> Array:
     """Return the base colour at cosines between normal and view (P,), shape (P, 3)."""
     nodes = np.reshape(values["BaseColorCurve"] or values["BaseColor"], (-1, 3))
     return np.stack([np.interp(cosine, CURVE_COSINES[-len(nodes) :], channel) for channel in nodes.T], axis=1)
+
+
+UNREAL = Target(
+    name="unreal",
+    suffix=".json",
+    title="Unreal Engine 5, Default Lit or Clear Coat",
+    entries=PARAMETERS,
+    parameters=parameters,
+    brdf=brdf,
+    content=lambda export: export.json_file(CONVENTIONS, shading_model=shading_model(export.parameters)),
+    base_colour=BASE_COLOUR,
+    coat=COAT,
+    curve=CURVE,
+    caveat=uncompared("Unreal Engine"),
+)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from manifold.fit.exports import glb, openpbr, preview_surface
 from manifold.fit.exports.document import Export, TextureFiles
 from manifold.fit.exports.glb import Mesh
 from manifold.fit.exports.materialx import TURN, identifier
+from manifold.fit.exports.targets import RELIEF, Target
 
 OPENPBR_ID = "ND_open_pbr_surface_surfaceshader"
 
@@ -168,3 +170,26 @@ def _mesh(mesh: Mesh, material: str, place: tuple[float, float, float], *, is_te
         uniform token[] xformOpOrder = ["xformOp:translate"]
     }}
 """
+
+
+USD = Target(
+    name="usd",
+    suffix=".usda",
+    title="USD, UsdPreviewSurface",
+    entries=preview_surface.PARAMETERS,
+    parameters=preview_surface.parameters,
+    brdf=preview_surface.brdf,
+    content=lambda export: usda(export).encode(),
+    base_colour=preview_surface.BASE_COLOUR,
+    coat=preview_surface.COAT,
+    hued=preview_surface.HUED,
+    textures=RELIEF,
+)
+
+USD_MATERIALX = replace(
+    USD,
+    name="usd-materialx",
+    title="USD, UsdPreviewSurface with OpenPBR beside it for MaterialX renderers",
+    textures=(),
+    beside="openpbr",
+)

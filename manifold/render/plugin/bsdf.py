@@ -36,7 +36,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from manifold.errors import UsageError
+from manifold.core.errors import UsageError
 from manifold.model.colours import ColourChoice
 from manifold.render import backend
 

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from manifold.errors import UsageError
-from manifold.mapping import CubeRoot, Identity, Log, LogRelative, ValueMapping
+from manifold.core.errors import UsageError
+from manifold.core.mapping import CubeRoot, Identity, Log, LogRelative, ValueMapping
+from manifold.core.records import Array
 from manifold.model.blending import NEGLIGIBLE
-from manifold.records import Array
 from manifold.render.plugin.mixture import Mixture
 from manifold.render.plugin.packed_tables import ISOTROPIC, META, MOST_BANDS_AT_ONCE, SPECTRUM_PACKET
 from manifold.render.plugin.warp import Family, PackedWarps, Slices, bisect
@@ -572,7 +572,7 @@ def _turned(mi: Any, w: Any, turn: Any) -> Any:
 
 
 class DrJitMapping:
-    """T and its inverse on Dr.Jit arrays; see `manifold.mapping`."""
+    """T and its inverse on Dr.Jit arrays; see `manifold.core.mapping`."""
 
     def __init__(self, mi: Any, dr: Any, mapping: ValueMapping) -> None:
         self._dr, self._mapping = dr, mapping

@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from manifold.errors import UsageError
+from manifold.core.errors import UsageError
+from manifold.core.mapping import ValueMapping
+from manifold.core.records import AnyArray, Array, Bands, Indices
 from manifold.gpr import GaussianProcess
-from manifold.mapping import ValueMapping
 from manifold.model.blend_space import BlendSpace
 from manifold.model.colours import NEAREST, ColourChoice
 from manifold.model.manifold import Manifold
 from manifold.model.places import Place
-from manifold.records import AnyArray, Array, Bands, Indices
 from manifold.render.plugin import packed_tables
 from manifold.render.plugin.packed_tables import Tables
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manifold.brdf.warp import Warp
-from manifold.errors import UsageError
-from manifold.records import AnyArray, Array, BsdfFile
+from manifold.core.errors import UsageError
+from manifold.core.records import AnyArray, Array, BsdfFile
 
 WARP_VALUES = 8
 """Values per cell of a warp: density at four corners, sums before the cell in both rows, sums of both rows.

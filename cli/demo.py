@@ -1,0 +1,348 @@
+"""The work behind `manifold demo`: all main steps on the built-in corpus, and the page that shows its results."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+
+from manifold.analytic import corpus
+from manifold.colour.illuminants import Illuminant
+from manifold.core import disk, progress
+from manifold.core.errors import LibraryError
+from manifold.core.judged_lights import BALL_COLUMN, LIGHTS
+from manifold.core.names import percent
+from manifold.estimate.predictions import predict
+from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource
+from manifold.evaluate.report import Report, make_report
+from manifold.evaluate.report_text import format_report, lead
+from manifold.evaluate.selection import embed
+from manifold.library.identity import require_outside_libraries
+from manifold.library.importing import import_files
+from manifold.model.diagnostics import DiagnosedPrediction
+from manifold.model.manifold import Manifold
+from manifold.model.places import on_line
+from manifold.model.settings import Settings
+from manifold.page.explore import write_page
+from manifold.pictures import figures, map_figure, maps, renders
+from manifold.pictures.maps import slices, sources
+from manifold.registries import EXAMPLES
+from manifold.render import backend
+from manifold.render.render import RenderSettings
+
+ILLUMINANTS = ("D65", "F11")
+"""Illuminants under which the demo renders its prediction: daylight, and a fluorescent lamp."""
+
+START, END = "syn_satin_gold", "syn_metallic_gold"
+"""The materials whose latents the demo predicts between."""
+
+CHARTED = (
+    "nearest", "linear", "published", "pca_6_cube-root", "gplvm_2_cube-root", "gplvm_6_cube-root",
+    "blend_2", "blend_2_half", "blend_2_angles_2_1", "nonnegative", "fit_gauss-newton",
+)  # fmt: skip
+"""Settings in the demo's chart; `manifold chart` measures all."""
+
+TRIED = (
+    "short_length_scale",
+    "few_materials",
+    "outside_materials",
+    "across_classes",
+    "exact_zeros",
+    "rough_or_smooth",
+)
+"""Failure modes that the demo tries; `manifold stability` tries all."""
+
+FIT = "predicted.fit.json"
+
+_NO_MITSUBA = "nothing is rendered, since Mitsuba is missing"
+_STYLE = """
+:root { color-scheme: light dark; font: 16px/1.5 system-ui, sans-serif; }
+body { max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
+figure { margin: 2rem 0; }
+img { max-width: 100%; height: auto; background: white; }
+figcaption { font-size: .9rem; opacity: .8; }
+iframe { width: 100%; height: 46rem; border: 1px solid gray; }
+dt { font-weight: bold; font-variant-numeric: tabular-nums; }
+pre { overflow-x: auto; padding: .8rem; border: 1px solid gray; }
+"""
+
+
+@dataclass(frozen=True)
+class Made:
+    """A result of the demo.
+
+    Attributes:
+        what: a sentence.
+        paths: its files, the one to look at first.
+        look: how to look at it: a command, or a file to open.
+        seconds: since the demo began.
+    """
+
+    what: str
+    paths: tuple[Path, ...]
+    look: str
+    seconds: float
+
+
+@dataclass(frozen=True)
+class DemoResult:
+    """The results of a demo, in the order in which they were made, and omitted ones with the reason."""
+
+    made: tuple[Made, ...]
+    predicted: DiagnosedPrediction
+    report: Report
+    left_out: str | None
+
+    @property
+    def pictures(self) -> list[Path]:
+        """The pictures among the results."""
+        return _pictures(self.made)
+
+
+def run(
+    folder: Path, *, everything: bool = False, announce: Callable[[Made], object] = lambda made: None
+) -> DemoResult:
+    """Make a corpus, a library, a model, a prediction, its renders, a report, a fit and a page (`index.html`).
+
+    Measured materials, library and fit of an earlier demo in the folder are kept; all else is made anew. Without
+    Mitsuba nothing is rendered.
+
+    Args:
+        folder: where everything goes; made if missing.
+        everything: also draw the map as balls and a walk, and run a chart, failure modes and budgets (minutes).
+        announce: called with every result when it exists.
+    """
+    require_outside_libraries(folder, into=True)
+    folder.mkdir(parents=True, exist_ok=True)
+    start = time.monotonic()
+    made: list[Made] = []
+
+    def add(what: str, *paths: Path, look: str = "") -> None:
+        made.append(Made(what, paths, look or f"open {paths[0]}", time.monotonic() - start))
+        announce(made[-1])
+
+    files, library, model = folder / "corpus", folder / "library.zarr", folder / "model.h5"
+    has_mitsuba = backend.is_available()
+    with progress.shown("Measuring the synthetic corpus"):
+        written = corpus.write(files, keep=True)
+    add(
+        f"{len(written)} synthetic materials, measured by a virtual goniometer",
+        files,
+        look=f"manifold info {written[0]}",
+    )
+    with progress.shown("Importing it into a library"):
+        imported = import_files(library, [files])
+        if imported.failed:
+            raise LibraryError(f"{next(iter(imported.failed.values()))}; or delete {folder} and start again")
+    add("Library of these materials (a Zarr store)", library, look=f"manifold info {library}")
+    fitted = embed(library, model, Settings())[0]
+    between = on_line(fitted.latent(START), fitted.latent(END), 0.75)
+    map_file = folder / "map.png"
+    figures.save(map_figure.latent_map(fitted, marked=between), map_file)
+    add(f"Map of {fitted.settings.latent_dim} dimensions, fitted to the library", map_file, model)
+    latent = ",".join(f"{value:.3f}" for value in between)
+    path = folder / "predicted_spec.bsdf"
+    with progress.shown("Predicting a material between two"):
+        predicted = predict(fitted, latent, path)
+    add(
+        f"Predicted BRDF, never measured, at latent {latent} between two golds",
+        path,
+        look=f"manifold info {path}",
+    )
+    golds: list[MaterialSource] = [*(LibrarySource(library, name) for name in (START, END)), FileSource(path)]
+    slices(sources(golds), folder / "slices.png")
+    add(
+        "Values of the two golds and of the prediction, in the plane of incidence",
+        folder / "slices.png",
+    )
+    if has_mitsuba:
+        for name in ILLUMINANTS:
+            picture = folder / f"predicted_{name}.png"
+            with progress.shown(f"Rendering the prediction under {name}"):
+                renders.render(FileSource(path), picture, _render_settings(name))
+            add(f"The prediction, rendered spectrally under {name}", picture)
+    with progress.shown("Evaluating the model"):
+        report = make_report(fitted, "default")
+    text, document = folder / "report.txt", folder / "report.json"
+    disk.write_text(text, format_report(report))
+    disk.write_text(document, json.dumps(report.to_json(), indent=2, allow_nan=False) + "\n")
+    add(f"Evaluation. {lead(report)}", text, document)
+    _fit(folder, path, has_mitsuba)
+    add(
+        "Parameters of Mitsuba's principled BSDF, fitted to the prediction",
+        *([folder / "predicted.fit.png"] if has_mitsuba else []),
+        folder / FIT,
+    )
+    if everything:
+        _make_the_rest(folder, fitted, has_mitsuba, add)
+    with progress.shown("Writing the page"):
+        write_page(model, folder / "explorer.html")
+        add(
+            "Interactive map: drag the point to see the material there",
+            folder / "explorer.html",
+        )
+        index = folder / "index.html"
+        left_out = None if has_mitsuba else _NO_MITSUBA
+        disk.write_text(index, page(folder, made, predicted, report, left_out))
+    add("Page with all results and the next commands", index)
+    return DemoResult(tuple(made), predicted, report, left_out)
+
+
+def _make_the_rest(folder: Path, fitted: Manifold, has_mitsuba: bool, add: Callable[..., None]) -> None:
+    """Make what `manifold demo --all` adds: balls on the map, a walk, budgets, a chart, failure modes."""
+    from manifold.study import chart_figure
+    from manifold.study.budget import budgets
+    from manifold.study.budget.budgets import BudgetSettings
+    from manifold.study.chart import make_chart
+    from manifold.study.stability import stability_figure
+    from manifold.study.stability.catalogue import MODES
+    from manifold.study.stability.trials import run_modes, select_modes
+
+    if has_mitsuba and backend.choose().is_llvm:  # scalar variants take minutes for each ball
+        picture = folder / "map_balls.png"
+        with progress.shown("Drawing the map"):
+            maps.latent_map(folder / "model.h5", picture)
+        add(
+            "The map as rendered balls; the background is the expected error, hatched where data are missing",
+            picture,
+        )
+        picture = folder / "walk.png"
+        with progress.shown("Drawing the walk"):
+            ends = [LibrarySource(folder / "library.zarr", name) for name in (START, END)]
+            maps.walk(folder / "model.h5", ends[0], ends[1], picture)
+        add(
+            "Walk from one gold to the other in steps of equal size, above predictions on the straight line",
+            picture,
+        )
+    if has_mitsuba:
+        settings = BudgetSettings() if backend.choose().is_llvm else BudgetSettings(size=48, samples=32)
+        for name in EXAMPLES:
+            picture = folder / f"budget_{name}.png"
+            with progress.shown(f"Budgeting the scene of {name}"):
+                budgets.example(name, settings=settings, output=folder / "budget" / name, picture=picture)
+            add(f"Cheapest representation that preserves the image of a scene of {name}", picture)
+    with progress.shown("Charting speed against accuracy"):
+        library = fitted.library
+        chart = make_chart([library.read(name) for name in library.names], CHARTED, library=library)
+        figures.save(chart_figure.chart(chart), folder / "chart.png")
+    add("Speed against accuracy of some methods", folder / "chart.png")
+    with progress.shown("Testing failure modes"):
+        modes = select_modes(MODES, TRIED)
+        figures.save(stability_figure.panels(run_modes(modes), modes), folder / "stability.png")
+    add("Failure modes, and whether they are detected", folder / "stability.png")
+
+
+def _render_settings(illuminant: str) -> RenderSettings:
+    return RenderSettings(illuminant=Illuminant.named(illuminant))
+
+
+def _fit(folder: Path, predicted: Path, has_mitsuba: bool) -> None:
+    from manifold.fit import fits
+    from manifold.fit.fits import FitSettings
+    from manifold.pictures.fit_comparison import picture_of_fit
+
+    with progress.shown("Fitting principled to the prediction"):
+        fits.fit(predicted, folder / FIT, FitSettings())
+        if has_mitsuba:
+            picture_of_fit(folder / FIT, predicted, folder / "predicted.fit.png")
+
+
+def _pictures(made: Sequence[Made]) -> list[Path]:
+    return [path for each in made for path in each.paths if path.suffix == ".png"]
+
+
+def page(
+    folder: Path, made: Sequence[Made], predicted: DiagnosedPrediction, report: Report, left_out: str | None
+) -> str:
+    """Return the HTML page of a demo: its results as links and pictures, the explorer, and the next commands."""
+    steps = [
+        f"{escape(each.what)} ({', '.join(_link(path.name) for path in each.paths)})"
+        for each in made
+        if each.paths[0].suffix != ".txt"  # the report has a part of its own
+    ] + [left_out] * (left_out is not None)
+    shown = [
+        f'<figure><a href="{path.name}"><img src="{path.name}" alt="{escape(each.what)}" loading="lazy"></a>'
+        f"<figcaption>{escape(each.what)}</figcaption></figure>"
+        for each in made
+        for path in _pictures([each])
+    ]
+    numbers = "".join(
+        f"<dt>{escape(n)}</dt><dd>{escape(meaning)}</dd>" for n, meaning in _numbers(predicted, report)
+    )
+    listed = "\n".join(f"<li>{step}</li>" for step in steps)
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>manifold demo</title>
+<style>{_STYLE}</style>
+<h1>manifold demo</h1>
+<h2>Explore the map</h2>
+<p>Drag the point to see the material predicted there. <a href="explorer.html">Open in its own window</a></p>
+<iframe src="explorer.html" title="Interactive map of the materials" loading="lazy"></iframe>
+<h2>Errors</h2>
+<p>{escape(lead(report))} {_link("report.txt")} has all errors.</p>
+<dl>
+{numbers}
+</dl>
+<h2>Files</h2>
+<ol>
+{listed}
+</ol>
+<h2>Pictures</h2>
+{"".join(shown)}
+<h2>Next steps</h2>
+<pre>{escape(_next_commands(folder))}</pre>
+</html>
+"""
+
+
+def _numbers(predicted: DiagnosedPrediction, report: Report) -> list[tuple[str, str]]:
+    """Return numbers and their meaning."""
+    physical = predicted.plausibility
+    numbers = [
+        (
+            f"{len(report.names)} materials",
+            f"The library holds them in {report.bands}; the map is fitted to all.",
+        )
+    ]
+    if predicted.expected is not None:
+        numbers.append((
+            f"{float(predicted.expected.ball):.1f} {BALL_COLUMN}",
+            f"Expected error of the prediction, averaged over a ball and {LIGHTS}.",
+        ))  # fmt: skip
+    return [
+        *numbers,
+        (
+            f"{physical.max_albedo:.2f}",
+            "Largest directional albedo of the prediction; more than 1 would create energy.",
+        ),
+        (
+            percent(physical.reciprocity_error, 1),
+            "Reciprocity error of the prediction: the relative change of its values if light and view are exchanged.",
+        ),
+    ]
+
+
+def _next_commands(folder: Path) -> str:
+    """Return commands with the path of the `manifold` that made the demo."""
+    installed = Path(sys.executable).with_name("manifold")
+    command = shlex.quote(str(installed)) if installed.exists() else "manifold"
+    where = shlex.quote(str(folder.resolve()))
+    return f"""cd {where}
+{command} explore                                  # the map, with everything that the commands below do
+{command} predict 0.5,0.5 -o mine_spec.bsdf        # another material between measured ones
+{command} export predicted_spec.bsdf -o predicted.glb   # into an engine
+{command} report                                   # all errors
+{command} fetch -o rgl                           # measured materials: 51 files, 400 MB
+{command} import rgl --library rgl.zarr            # then embed --library rgl.zarr --output rgl.h5
+"""
+
+
+def _link(name: str) -> str:
+    return f'<a href="{escape(name)}">{escape(name)}</a>'

@@ -1,0 +1,8 @@
+from . import directions, errors, mapping, metrics
+
+__all__ = [
+    "directions",
+    "errors",
+    "mapping",
+    "metrics",
+]

@@ -1,0 +1,195 @@
+"""Pairs of directions: grids of them, and their coordinates in RGL files, located once for many materials."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from manifold.core.compiled import loops
+from manifold.core.directions import from_rusinkiewicz, require_directions, rotate_z
+from manifold.core.errors import ShapeError, UsageError
+from manifold.core.records import Array, Indices, Mask
+from manifold.registries import NAMED_GRIDS
+
+LEVEL = 1e-9
+"""Cosine of a direction at the horizon: a right angle rounds to 6e-17, by which f_cos must not be divided."""
+
+_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+
+Symmetry = tuple[bool, int, float]
+"""What `Pairs.located` takes."""
+
+
+def flat_samples(wi: Array, u: Array) -> tuple[Array, Array, tuple[int, ...]]:
+    """Return directions (..., 3) and variates (..., 2) as contiguous (K, 3) and (K, 2), and their broadcast shape."""
+    wi, u = require_directions(wi, "wi"), np.asarray(u, dtype=np.float64)
+    if u.ndim == 0 or u.shape[-1] != 2 or not np.all((u >= 0.0) & (u <= 1.0)):
+        raise ShapeError(f"u has shape {u.shape}, expected (..., 2) with values in [0, 1]")
+    try:
+        shape = np.broadcast_shapes(wi.shape[:-1], u.shape[:-1])
+    except ValueError as error:
+        raise ShapeError(f"wi has shape {wi.shape} and u {u.shape}; they do not broadcast") from error
+    flat_wi, flat_u = (np.ascontiguousarray(np.broadcast_to(a, (*shape, a.shape[-1]))) for a in (wi, u))
+    return flat_wi.reshape(-1, 3), flat_u.reshape(-1, 2), shape
+
+
+def cosine_weight(wi: Array, wo: Array) -> Array:
+    """Return `cos(theta_i) cos(theta_o)`, 0 below the horizon, shape (...)."""
+    return np.maximum(wi[..., 2], 0.0) * np.maximum(wo[..., 2], 0.0)
+
+
+class Pairs:
+    """K pairs of directions, checked and flat.
+
+    Attributes:
+        wi, wo: contiguous unit vectors, shape (K, 3).
+        shape: what the pairs were broadcast to, the vectors' axis left out.
+    """
+
+    def __init__(self, wi: Array, wo: Array) -> None:
+        """Broadcast two arrays of unit vectors (..., 3) against each other."""
+        wi, wo = require_directions(wi, "wi"), require_directions(wo, "wo")
+        try:
+            wi, wo = np.broadcast_arrays(wi, wo)
+        except ValueError as error:
+            raise ShapeError(f"wi has shape {wi.shape} and wo {wo.shape}; they do not broadcast") from error
+        flat = [np.ascontiguousarray(w).reshape(-1, 3) for w in (wi, wo)]
+        self.wi, self.wo, self.shape = flat[0], flat[1], wi.shape[:-1]
+        self._located: dict[Symmetry, Array] = {}
+
+    def __len__(self) -> int:
+        return len(self.wi)
+
+    def blocks(self, size: int) -> Iterator[tuple[slice, Pairs]]:
+        """Yield slices of at most `size` pairs, each with its pairs."""
+        for start in range(0, len(self), size):
+            rows = slice(start, start + size)
+            yield rows, self[rows]
+
+    def __getitem__(self, rows: slice | Indices | Mask) -> Pairs:
+        """Return some of the pairs."""
+        part = Pairs.__new__(Pairs)
+        part.wi, part.wo, part._located = self.wi[rows], self.wo[rows], {}
+        part.shape = part.wi.shape[:1]
+        return part
+
+    def __add__(self, others: Pairs) -> Pairs:
+        """Return these pairs, followed by others."""
+        return Pairs(np.concatenate([self.wi, others.wi]), np.concatenate([self.wo, others.wo]))
+
+    @cached_property
+    def cosines(self) -> Array:
+        """cos(theta_i) cos(theta_o), shape (K,)."""
+        return cosine_weight(self.wi, self.wo)
+
+    def results(self, count: int, out: Array | None) -> Array:
+        """Return the array for `count` values per pair, (..., count): `out`, which must fit, or new memory."""
+        shape = (*self.shape, count)
+        if out is None:
+            return np.empty(shape)
+        if out.shape != shape or out.dtype not in (np.float32, np.float64) or not out.flags.carray:
+            raise ShapeError(
+                f"out is {out.dtype} {out.shape}, expected contiguous float32 or float64 {shape}, which can be written"
+            )
+        return out
+
+    def turned(self, angle_rad: float) -> tuple[Array, Array]:
+        """Rotate both directions about the normal; return two arrays (K, 3)."""
+        if angle_rad == 0.0:
+            return self.wi, self.wo
+        return rotate_z(self.wi, angle_rad), rotate_z(self.wo, angle_rad)
+
+    def located(self, isotropic: bool, reduction: int, rotation_rad: float = 0.0) -> Array:
+        """Return `theta_i, phi_i, u_x, u_y` of the half vector and cos(theta_o), shape (K, 5).
+
+        A pair below the horizon has cosine 0, and nothing else. Cached: this takes as long as looking up fifty bands,
+        and most materials share one symmetry. For isotropic ones u_y is relative to the incident azimuth; a file of
+        reduction 2 or 4 holds half or a quarter of the azimuths; a rotation is the azimuth by which the sample lay
+        turned.
+        """
+        key = (isotropic, reduction, rotation_rad)
+        if key not in self._located:
+            out = np.empty((len(self), 5))
+            loops.locate_pairs(*self.turned(rotation_rad), isotropic, reduction, out)
+            self._located[key] = out
+        return self._located[key]
+
+
+@dataclass(frozen=True)
+class RusinkiewiczGrid:
+    """A grid of direction pairs over theta_h and theta_d in [0, 90) and phi_d in [0, 180) degrees.
+
+    Half vectors have azimuth 0, which is enough for isotropic materials; others need `is_turned`.
+
+    Attributes:
+        n_theta_h, n_theta_d, n_phi_d: nodes per angle; phi_d runs fastest.
+        squared_theta_h: space theta_h by squares, dense around the mirror direction, as MERL files do.
+        offset: where in its cell a node lies, from 0 (lower edge) to below 1; 0.5 is the centre.
+        is_turned: turn each pair about the normal, by multiples of the golden section of a turn: as many pairs, whose
+            half vectors have all azimuths at every theta_h.
+    """
+
+    n_theta_h: int = 45
+    n_theta_d: int = 23
+    n_phi_d: int = 12
+    squared_theta_h: bool = True
+    offset: float = 0.5
+    is_turned: bool = False
+
+    def __post_init__(self) -> None:
+        if min(self.n_theta_h, self.n_theta_d, self.n_phi_d) < 1 or not 0.0 <= self.offset < 1.0:
+            raise UsageError(f"{self}: expected at least one node per angle and an offset in [0, 1)")
+
+    @classmethod
+    def named(cls, name: str) -> RusinkiewiczGrid:
+        """Return a grid by its name.
+
+        `default` is 45 x 23 x 12, for held-out errors; `hikichi` is 90 x 90 x 180 (Hikichi & Iwasaki, eq.
+        22).
+        """
+        return NAMED_GRIDS[name]
+
+    def suited_to(self, is_isotropic: bool) -> RusinkiewiczGrid:
+        """Return this grid, with pairs at several azimuths unless all compared materials are isotropic."""
+        return self if is_isotropic else replace(self, is_turned=True)
+
+    @property
+    def n_pairs(self) -> int:
+        """Number of direction pairs, those below the horizon included."""
+        return self.n_theta_h * self.n_theta_d * self.n_phi_d
+
+    def angles(self, start: int = 0, stop: int | None = None) -> tuple[Array, Array, Array]:
+        """Return `theta_h, theta_d, phi_d` in radians of pairs start to stop, each of shape (stop - start,)."""
+        index = np.arange(start, self.n_pairs if stop is None else min(stop, self.n_pairs))
+        h, d, p = np.unravel_index(index, (self.n_theta_h, self.n_theta_d, self.n_phi_d))
+        fraction_h = (h + self.offset) / self.n_theta_h
+        theta_h = (fraction_h**2 if self.squared_theta_h else fraction_h) * (0.5 * np.pi)
+        theta_d = (d + self.offset) / self.n_theta_d * (0.5 * np.pi)
+        return theta_h, theta_d, (p + self.offset) / self.n_phi_d * np.pi
+
+    def directions(self, start: int = 0, stop: int | None = None) -> tuple[Array, Array, Mask]:
+        """Return pairs start to stop: wi (M, 3), wo (M, 3), and a mask of those above the horizon, bool (M,)."""
+        wi, wo = from_rusinkiewicz(*self.angles(start, stop))
+        above = (wi[:, 2] > 0.0) & (wo[:, 2] > 0.0)
+        if self.is_turned:
+            azimuth = 2.0 * np.pi * ((_GOLDEN * np.arange(start, start + len(wi))) % 1.0)
+            wi, wo = rotate_z(wi, azimuth), rotate_z(wo, azimuth)
+        return wi, wo, above
+
+    def pairs(self, stride: int = 1) -> Pairs:
+        """Return every `stride`-th pair above the horizon."""
+        wi, wo, above = self.directions()
+        return Pairs(wi[above][::stride], wo[above][::stride])
+
+    def blocks(self, size: int = 65536) -> Iterator[tuple[Array, Array, Mask]]:
+        """Yield `directions` in blocks of at most `size` pairs: the whole 1,458,000-pair grid in bounded memory."""
+        for start in range(0, self.n_pairs, size):
+            yield self.directions(start, start + size)
+
+
+DEFAULT = RusinkiewiczGrid()
+HIKICHI = RusinkiewiczGrid(90, 90, 180, squared_theta_h=False, offset=0.0)
+"""The grids of `NAMED_GRIDS`."""

@@ -1,0 +1,65 @@
+"""Pixels of PNG and JPEG pictures as they are stored; no other module opens a picture by Pillow.
+
+Pillow finds out by itself what a picture is, whatever its name says, and starts Ghostscript for an EPS. So only what
+begins as PNG or JPEG is given to it.
+"""
+
+from __future__ import annotations
+
+import io
+import warnings
+from typing import Literal
+
+import numpy as np
+
+from manifold.core.errors import FileFormatError
+from manifold.core.records import Array
+
+_MOST_PIXELS = 1 << 26
+KINDS = {
+    b"\x76\x2f\x31\x01": "openexr", b"#?": "hdr", b"PF": "pnm", b"Pf": "pnm", b"II*\0": "tiff", b"MM\0*": "tiff",
+    b"II+\0": "tiff", b"MM\0+": "tiff", b"\x89PNG": "png", b"\xff\xd8\xff": "jpeg", b"BM": "bmp", b"RIFF": "webp",
+}  # fmt: skip
+"""Kinds of pictures by how their files begin."""
+
+_MAGIC = {b"\x89PNG\r\n\x1a\n": "PNG", b"\xff\xd8\xff": "JPEG"}
+_OTHERS = {
+    b"GIF8": "a GIF", b"%!PS": "a PostScript", b"BM": "a BMP", b"II*\0": "a TIFF", b"MM\0*": "a TIFF",
+    b"RIFF": "a WebP", b"\xd7\xcd\xc6\x9a": "a WMF", b"\x01\0\0\0": "an EMF", b"<svg": "an SVG", b"<?xml": "an SVG",
+}  # fmt: skip
+_MODES = ("L", "LA", "P", "RGB", "RGBA")  # of 8 bits
+
+
+def decode(content: bytes, mode: Literal["RGB", "RGBA"] = "RGB", *, most_pixels: int = _MOST_PIXELS) -> Array:
+    """Decode a PNG or JPEG picture of 8 bits to its codes, shape (H, W, 3) or (H, W, 4).
+
+    Raises:
+        FileFormatError: it is another picture, has more pixels, or is damaged; the message has no name, which the
+            caller knows.
+    """
+    from PIL import Image
+
+    kind = kind_of(content)
+    if kind is None:
+        named = next((name for magic, name in _OTHERS.items() if content.startswith(magic)), "no known")
+        raise FileFormatError(f"is {named} picture, expected PNG or JPEG")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of large pictures, which are refused below
+            image = Image.open(io.BytesIO(content), formats=(kind,))
+        with image:
+            if image.width * image.height > most_pixels:
+                size = f"{image.width} x {image.height}"
+                raise FileFormatError(f"has {size} pixels, expected at most {most_pixels / 1e6:.2g} million")
+            if image.mode not in _MODES:
+                raise FileFormatError(f"has pixels of mode {image.mode}, expected RGB or grey of 8 bits")
+            return np.asarray(image.convert(mode))
+    except FileFormatError:  # which is a ValueError
+        raise
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise FileFormatError(f"cannot be decoded ({' '.join(str(error).split())[:80]})") from None
+
+
+def kind_of(content: bytes) -> str | None:
+    """Return PNG or JPEG by the first bytes of a picture, else None."""
+    return next((kind for magic, kind in _MAGIC.items() if content.startswith(magic)), None)

@@ -1,0 +1,97 @@
+"""Tasks shared out: in this process, or by an executor of local processes, of threads, or of a Dask cluster.
+
+A task is a function of paths and small values that can be pickled. It writes a file by renaming and may run again. Its
+result does not depend on where it runs: BLAS, whose sums depend on its threads, has one in every task.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import AbstractContextManager, nullcontext
+from functools import partial
+from multiprocessing.connection import wait
+from typing import TypeVar
+
+from manifold.core import progress
+from manifold.core.errors import ManifoldError
+from manifold.core.threads import VARIABLE, one_blas_thread
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+def run(
+    function: Callable[[T], R], tasks: Sequence[T], workers: Executor | None = None
+) -> Iterator[tuple[int, R | None, str | None]]:
+    """Run tasks, and give index, result and failure of each as soon as it ends; one that fails stops no other.
+
+    What a task raises of `ManifoldError` and `OSError` is its failure, and its result None. An interruption waits for
+    the tasks that are running. A single task is not worth a process of its own. Without workers they run in this
+    process, in order, and nothing is pickled.
+    """
+    if workers is None or (isinstance(workers, ProcessPoolExecutor) and len(tasks) == 1):
+        yield from map(partial(_attempt, function), range(len(tasks)), tasks)
+        return
+    waiting = {workers.submit(_attempt, function, k, task) for k, task in enumerate(tasks)}
+    try:
+        for future in as_completed(set(waiting)):
+            waiting.remove(future)  # results are not collected here
+            yield future.result()
+    except BrokenProcessPool:
+        raise ManifoldError(
+            "a process was killed (out of memory?); use fewer, and run again: finished files are kept"
+        ) from None
+    except KeyboardInterrupt:
+        running = [future for future in waiting if not future.cancel()]
+        yield from (future.result() for future in running)
+        raise
+    finally:
+        for future in waiting:
+            future.cancel()
+
+
+def processes(count: int | None = None) -> AbstractContextManager[Executor | None]:
+    """Return an executor of local processes for `run`, one per core if None.
+
+    With one process, this process does the work.
+    """
+    cores = os.cpu_count() or 1
+    count = count or cores
+    if count == 1:
+        return nullcontext()
+    # Spawned, not forked: locks that threads held would stay locked. They start when there are tasks for them.
+    context = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(count, context, _begin, (max(cores // count, 1),))
+
+
+def _attempt(function: Callable[[T], R], index: int, task: T) -> tuple[int, R | None, str | None]:
+    """Run one task, in any process."""
+    try:
+        with one_blas_thread, progress.listen(None):  # how many tasks have ended is what is told
+            return index, function(task), None
+    except ManifoldError as error:
+        return index, None, str(error)
+    except OSError as error:
+        return index, None, f"{error.filename or 'a file'}: {error.strerror or error}; check the path"
+
+
+def _begin(threads: int) -> None:
+    """Leave Ctrl-C and the other cores to the other processes, and end with the one that started this."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    for variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", VARIABLE):
+        os.environ.setdefault(variable, str(threads))  # the first three are read when NumPy is loaded
+
+
+def _end_with_parent() -> None:
+    """End this process if its parent was killed; otherwise a pool's processes would wait for tasks for ever."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)

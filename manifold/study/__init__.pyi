@@ -1,0 +1,5 @@
+from .chart import make_chart
+
+__all__ = [
+    "make_chart",
+]

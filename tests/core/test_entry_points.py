@@ -1,0 +1,182 @@
+"""Packages that add formats, targets and methods: listed, used, and harmless when they are broken."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+from helpers.small_library import small_model
+
+READER = """
+import numpy as np
+from manifold.core.directions import from_spherical
+from manifold.formats import Readings
+
+
+def sniff(head):
+    return head.startswith(b"LAB LOG")
+
+
+def read(path):
+    rows = np.loadtxt(path, skiprows=1)
+    wi = from_spherical(np.deg2rad(rows[:, 0]), np.pi)
+    wo = from_spherical(np.deg2rad(rows[:, 1]), 0.0)
+    return [Readings(path.stem, "lab log", wi, wo, np.array([465.0, 525.0, 630.0]), rows[:, 2:])]
+"""
+TARGET = """
+import json
+from dataclasses import replace
+from manifold.fit.exports import TARGETS
+
+
+def content(export):
+    return json.dumps({"shader": "standard", **export.parameters}).encode()
+
+
+STUDIO = replace(TARGETS["gltf"], name="studio", suffix=".studio", title="Studio", content=content)
+"""
+METHOD = """
+import numpy as np
+
+
+def shake(run, X):
+    rng = np.random.default_rng(0)
+    for _ in range(min(run.max_iter, 5)):
+        candidate = run.best_X + 1e-3 * rng.standard_normal(X.shape)
+        run.report(candidate, run.objective(candidate)[0])
+"""
+LOG = "LAB LOG\n45 0 0.10 0.12 0.20\n45 30 0.14 0.15 0.24\n"
+
+
+def install(folder, package, module, code, *entries):
+    """Install a package of one module into a folder, as pip would."""
+    (folder / f"{module}.py").write_text(code)
+    info = folder / f"{package.replace('-', '_')}-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
+    groups = "".join(f"[brdf_manifold.{group}]\n{name} = {value}\n" for group, name, value in entries)
+    (info / "entry_points.txt").write_text(groups)
+
+
+@pytest.fixture(scope="module")
+def packages(tmp_path_factory):
+    """A folder with a package for each group."""
+    folder = tmp_path_factory.mktemp("packages")
+    install(folder, "lab-formats", "lab_reader", READER, ("formats", "lab log", "lab_reader"))
+    install(folder, "lab-studio", "lab_target", TARGET, ("targets", "studio", "lab_target:STUDIO"))
+    install(folder, "lab-search", "lab_method", METHOD, ("methods", "shake", "lab_method:shake"))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("work")
+    (folder / "sample.log").write_text(LOG)
+    (folder / "plain.csv").write_text("theta_i,theta_o,465 nm,525 nm,630 nm\n45,0,0.10,0.12,0.20\n")
+    small_model(folder)
+    return folder
+
+
+def run(work, packages, *words):
+    """Run the command line with a folder of packages; what it printed."""
+    path = os.pathsep.join(filter(None, (str(packages), os.environ.get("PYTHONPATH"))))
+    return subprocess.run(
+        [sys.executable, "-m", "manifold", *words],
+        cwd=work, capture_output=True, text=True, check=False, env=os.environ | {"PYTHONPATH": path},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        (["info", "--help"], "lab log"),
+        (["convert", "--help"], "lab log"),
+        (["export", "--help"], "studio"),
+        (["embed", "--help"], "shake"),
+    ],
+)
+def test_helps_list_entries_of_other_packages(words, name, work, packages):
+    done = run(work, packages, *words)
+    assert name in " ".join(done.stdout.split())
+    assert done.stderr == ""
+
+
+def test_a_reader_of_another_package_reads_its_files(work, packages):
+    shown = run(work, packages, "info", "sample.log")
+    assert "sample.log: lab log" in shown.stdout
+    assert "readings" in shown.stdout
+    done = run(work, packages, "convert", "sample.log", "-o", "sample.csv")
+    assert done.returncode == 0, done.stderr
+    assert "0.24" in (work / "sample.csv").read_text()
+
+
+def test_a_target_of_another_package_is_exported_to(work, packages):
+    script = (
+        "from pathlib import Path; from manifold.fit.exports.targets import target_of\n"
+        "from manifold.registries import TARGETS\n"
+        "print(target_of(None, Path('x.studio')).title, target_of(None, Path('x.glb')).name, list(TARGETS)[-1])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True, text=True, check=True, env=os.environ | {"PYTHONPATH": str(packages)},
+    )  # fmt: skip
+    assert done.stdout.split() == ["Studio", "gltf", "studio"]
+
+
+def test_a_method_of_another_package_embeds(work, packages):
+    words = ["embed", "--kind", "gplvm", "--optimizer", "shake", "-M", "shaken.h5"]
+    done = run(work, packages, *words)
+    assert done.returncode == 0, done.stderr
+    assert "shake" in run(work, packages, "info", "shaken.h5").stdout
+    without = run(work, work, "info", "shaken.h5")
+    assert without.returncode == 1
+    assert "optimizer 'shake' for kind gplvm, expected dls or l-bfgs" in without.stderr
+
+
+BROKEN = {
+    "import no_such_module": "ModuleNotFoundError: No module named 'no_such_module'",
+    "raise SystemExit('no')": "SystemExit: no",
+    "def sniff(head): return True": "AttributeError: module 'broken2' has no attribute 'read'",
+    "def sniff(head): return head[99999]\ndef read(path): return []": "IndexError",
+}
+"""Readers of broken packages, and what is said of them."""
+
+
+def test_broken_packages_are_named_in_a_line_each_and_stop_no_other(work, packages, tmp_path):
+    for k, code in enumerate(BROKEN):
+        install(
+            tmp_path, f"broken-formats{k}", f"broken{k}", code, ("formats", f"broken log{k}", f"broken{k}")
+        )
+    both = f"{packages}{os.pathsep}{tmp_path}"
+    listed = " ".join(run(work, both, "info", "--help").stdout.split())
+    for name, format_name in (("sample.log", "lab log"), ("plain.csv", "CSV table")):
+        done = run(work, both, "info", name)
+        assert f"{name}: {format_name}" in done.stdout
+        lines = sorted(done.stderr.splitlines())
+        for k, (line, reason) in enumerate(zip(lines, BROKEN.values(), strict=True)):
+            assert f"broken log{k}" in listed
+            assert line.startswith(
+                f"manifold: warning: the format 'broken log{k}' of the package broken-formats{k} is left out"
+            )
+            assert reason in line
+
+
+def test_a_reader_that_fails_is_named(work, tmp_path):
+    code = "def sniff(head): return head.startswith(b'LAB')\ndef read(path): return {}['x']"
+    install(tmp_path, "broken-formats", "broken", code, ("formats", "broken log", "broken"))
+    done = run(work, tmp_path, "info", "sample.log")
+    assert done.returncode == 1
+    assert done.stderr == (
+        "manifold: sample.log: the reader of broken log in the package broken-formats failed (KeyError: 'x')\n"
+    )
+
+
+def test_an_entry_named_as_a_built_in_one_is_left_out(work, tmp_path):
+    install(tmp_path, "other-merl", "other", READER, ("formats", "MERL", "other"))
+    done = run(work, tmp_path, "info", "plain.csv")
+    assert "CSV table" in done.stdout
+    assert (
+        "the format 'MERL' of the package other-merl is left out (another entry has this name)" in done.stderr
+    )

@@ -38,7 +38,7 @@ _TIMEOUT_S = 60.0
 
 
 class Translations(NamedTuple):
-    """Code by the suffix of its file, and a note where there is none."""
+    """Code by the suffix of its file, and a note if there is none."""
 
     code: dict[str, str]
     note: str | None = None

@@ -28,7 +28,7 @@ Halves = NDArray[np.float16]
 CHANNELS = 4
 TEXEL_BYTES = 2 * CHANNELS
 _LARGEST = 2.0**14
-"""What values and normal distributions are scaled to: the finite range of halves ends at 2^16."""
+"""Largest value and largest normal distribution after scaling: the finite range of halves ends at 2^16."""
 _MOST_NODES = (
     1024  # of the normal distribution; a few files have finer ones, which a row of texels need not hold
 )

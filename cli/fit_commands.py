@@ -224,11 +224,6 @@ def export(
     error of Mitsuba's principled, where the fit starts, is printed beside it. A shader evaluates the BRDF itself,
     without a fit.
     """
-    from manifold.estimate.sources import FileSource
-    from manifold.fit import exporting
-    from manifold.io_rgl import material_name
-    from manifold.registries import TARGETS
-
     results = terminal.Results(json)
     if pack is not None and output is not None:
         raise UsageError(
@@ -248,6 +243,11 @@ def export(
         return
     if tolerance is not None:
         raise UsageError("--tolerance goes with --target shader; leave it out for models that are fitted")
+    from manifold.estimate.sources import FileSource
+    from manifold.fit import exporting  # which imports Matplotlib; a shader does without
+    from manifold.io_rgl import material_name
+    from manifold.registries import TARGETS
+
     targets = [TARGETS[name] for name in dict.fromkeys(map(str.strip, (target or "gltf").split(",")))]
     if len(targets) > 1 and (picture or pack is not None):
         raise UsageError(f"--picture and --pack go with one target, found {target}")

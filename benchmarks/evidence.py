@@ -132,6 +132,8 @@ RESULTS = {
     "lights": Result("bench_lights.py FILES"),
     "fit": Result("bench_fit.py --files FILES --appearance-only"),
     "exports": Result("bench_exports.py --files FILES --targets gltf,openpbr"),
+    "shader": Result("bench_shader.py FILES"),
+    "shader_time": Result("bench_shader.py FILES --time"),
     "expected_error": Result("bench_expected_error.py LIBRARY"),
     "interior": Result("bench_interior.py LIBRARY"),
     "walks": Result("bench_walks.py LIBRARY"),

@@ -188,7 +188,8 @@ def export(
         str | None,
         typer.Option(
             help="The target, if the suffix does not determine it: {manifold.registries.TARGETS}; or several, with "
-            "commas between: their files go into the folder -o. [default for folders: gltf]",
+            "commas between: their files go into the folder -o; or shader, a folder of a texture and code "
+            "that evaluate the BRDF itself. [default for folders: gltf]",
             metavar="NAME",
         ),
     ] = None,
@@ -199,6 +200,13 @@ def export(
     picture: Annotated[
         bool, typer.Option("--picture", help="Also draw the material beside the target's model, into NAME.png.")
     ] = False,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(
+            help="For shaders: write the smallest table within so many CIEDE2000 of the ball. [default: 0.3]",
+            metavar="CIEDE2000",
+        ),
+    ] = None,
     pack: Annotated[
         Path | None,
         written(
@@ -213,14 +221,9 @@ def export(
 
     The target's own model is fitted to the material, which takes seconds. The error is the CIEDE2000 between
     balls of the material and of its fit, mean of {manifold.core.judged_lights.LIGHTS} that the fit did not use. The
-    error of Mitsuba's principled, where the fit starts, is printed beside it.
+    error of Mitsuba's principled, where the fit starts, is printed beside it. A shader evaluates the BRDF itself,
+    without a fit.
     """
-    from manifold.estimate.inputs import is_many
-    from manifold.estimate.sources import FileSource
-    from manifold.fit import exporting
-    from manifold.io_rgl import material_name
-    from manifold.registries import TARGETS
-
     results = terminal.Results(json)
     if pack is not None and output is not None:
         raise UsageError(
@@ -233,6 +236,19 @@ def export(
             )
         source = str(library or options.DEFAULT_LIBRARY)
     material = options.material_sources([source], model, library, colour=colour)[0]
+    if target == "shader":
+        if against is not None:
+            raise UsageError("--against goes with the fit of a target's model; leave it out for a shader")
+        _export_shader(results, material, output, tolerance, picture, pack)
+        return
+    if tolerance is not None:
+        raise UsageError("--tolerance goes with --target shader; leave it out for models that are fitted")
+    from manifold.estimate.inputs import is_many
+    from manifold.estimate.sources import FileSource
+    from manifold.fit import exporting  # which imports Matplotlib; a shader does without
+    from manifold.io_rgl import material_name
+    from manifold.registries import TARGETS
+
     targets = [TARGETS[name] for name in dict.fromkeys(map(str.strip, (target or "gltf").split(",")))]
     if len(targets) > 1 and (picture or pack is not None):
         raise UsageError(f"--picture and --pack go with one target, found {target}")
@@ -261,6 +277,39 @@ def export(
         named = targets[0].name if target else None
         outcome = exporting.export(material, named, path, against=against, picture=drawn)
     _show_exports(results, [outcome], drawn)
+
+
+def _export_shader(
+    results: terminal.Results, material: MaterialSource, output: Path | None, tolerance: float | None,
+    picture: bool, pack: Path | None,
+) -> None:  # fmt: skip
+    from manifold.core.metrics import Errors
+    from manifold.estimate.inputs import find_inputs, is_many
+    from manifold.shader import exporting
+
+    tolerance = exporting.DEFAULT_TOLERANCE if tolerance is None else tolerance
+    if is_many([material]):
+        command = exporting.exports(tolerance, with_pictures=picture, is_pack=pack is not None)
+        make_many(results, command, find_inputs([material]), pack or output)
+        return
+    if pack is not None:
+        raise UsageError(f"--pack goes with a library or a folder of files, found {material}; use -o for one")
+    folder = or_default(output, material.name.removesuffix(".fit.json"))
+    require_folder(folder, "the files of a shader", ".glsl")
+    with progress.shown("Exporting"):
+        outcome = exporting.export(material, folder, tolerance=tolerance, with_picture=picture)
+    content = outcome.content or {}
+    rows: dict[str, object] = {
+        "CIEDE2000 of the ball": f"{Errors(**content['errors'])}, against the {content['against']}",
+        "texture": "{file}, {width} x {height}, ".format(**content["texture"])
+        + f"{content['bytes'] / 1000:.0f} kB",
+        "texture reads": ", ".join(f"{name} {count}" for name, count in content["fetches"].items()),
+        "code": ", ".join(f"manifold.{language}" for language in content["code"]),
+        "page": folder / exporting.PAGE,
+    }
+    rows |= terminal.numbered("note", outcome.notes)
+    results.rows(f"Exported {folder} (shader)", rows)
+    results.document({"exports": [outcome.to_json()], "failed": []})
 
 
 def _show_exports(

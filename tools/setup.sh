@@ -9,7 +9,7 @@
 # PYTHON names the interpreter (3.11 or newer); by default the first suitable one on the PATH.
 # g++ compiles the loops of cpp/, and libllvm19 lets Mitsuba run its fast variants: without it everything works, slower.
 # Both are installed where they are missing and apt may be used. The tests of pages need Debian's chromium, which `dev` installs likewise; those of
-# glTF files by other programs need three.js and Khronos' validator, which `dev` installs into .venv where npm is there.
+# shaders in other languages need glslang-tools and spirv-cross; those of glTF files by other programs need three.js and Khronos' validator, which `dev` installs into .venv where npm is there.
 set -eu
 cd "$(dirname "$0")/.."
 extra=${1:-}
@@ -92,6 +92,11 @@ fi
 
 if [ "$extra" = dev ] && ! command -v chromium >/dev/null 2>&1; then
     apt_install chromium || echo "setup: chromium is missing and could not be installed; tests of pages are skipped" >&2
+fi
+
+if [ "$extra" = dev ] && ! { command -v glslangValidator && command -v spirv-cross; } >/dev/null 2>&1; then
+    apt_install glslang-tools spirv-cross ||
+        echo "setup: glslang-tools and spirv-cross are missing and could not be installed; tests of translated shaders are skipped" >&2
 fi
 
 if [ "$extra" = dev ] && command -v npm >/dev/null 2>&1 && [ ! -d .venv/node_modules/three ]; then

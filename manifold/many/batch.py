@@ -99,7 +99,7 @@ class Command(Generic[S]):
         what: plural noun for the outputs, which names index, table, sheet and default folder.
         make: function that writes the file of a source and returns the result; it must be picklable for workers.
         how: plain values of all settings on which outputs depend.
-        suffix: suffix of the output files.
+        suffix: suffix of the output files; with a slash, each is a file in a folder of its own.
         endings: suffixes by which names of sources are recognised as files.
         columns: functions from a result to the cells of the table, by title.
         under: title of the column that is printed below the balls of the sheet.
@@ -182,9 +182,11 @@ def _known(
             require_material_name(source.name)
             if command.what in (alike(source.name), alike(path.stem)):
                 raise UsageError("has the name of the table of results; rename it")
-            first = taken.setdefault(alike(path.name), source)
+            first = taken.setdefault(alike(_within(folder, path)), source)
             if first is not source:
-                raise UsageError(f"{source} and {first} have the same name, {path.name}; use two folders")
+                raise UsageError(
+                    f"{source} and {first} have the same name, {_within(folder, path)}; use two folders"
+                )
             key = command.how | source.made_of()
             content = index.result(path, key, command.beside)
             if content is not None:
@@ -223,13 +225,13 @@ class Batch(Generic[S]):
         """Return the cells of an outcome in the table, by title."""
         content = outcome.content
         cells = {} if content is None else {title: of(content) for title, of in self.command.columns.items()}
-        return {"name": outcome.name, "file": outcome.path.name, **cells}
+        return {"name": outcome.name, "file": _within(self.folder, outcome.path), **cells}
 
     def to_json(self) -> dict[str, Any]:
         """Return the results of all files as plain values."""
         return {
             self.command.what: [
-                {"name": o.name, "file": o.path.name, "kept": o.was_there} | o.content
+                {"name": o.name, "file": _within(self.folder, o.path), "kept": o.was_there} | o.content
                 for o in self.outcomes
                 if o.content is not None
             ],
@@ -271,6 +273,11 @@ class Batch(Generic[S]):
             return "failed"
         value = None if self.command.under is None else self.row(outcome)[self.command.under]
         return "" if value is None else cell(value)
+
+
+def _within(folder: Path, path: Path) -> str:
+    """Return the path of an output within its folder."""
+    return path.relative_to(folder).as_posix()
 
 
 def cell(value: Any) -> str:
@@ -453,7 +460,7 @@ class OutputIndex:
 
     def result(self, path: Path, made_of: dict[str, Any], beside: Beside | None = None) -> Content | None:
         """Return the result of an output that this version made from the same inputs; None if a file changed."""
-        entry = self._entries.get(path.name)
+        entry = self._entries.get(_within(self._path.parent, path))
         if entry is None or entry.get("made_of") != _stamped(made_of):
             return None
         result: Content = entry["result"]
@@ -465,13 +472,14 @@ class OutputIndex:
 
     def add(self, path: Path, made_of: dict[str, Any], result: Content, files: dict[str, str]) -> None:
         """Record an output that was written, its result and the hashes of its files, as plain values of JSON."""
+        name = _within(self._path.parent, path)
         entry = {
-            "file": path.name,
+            "file": name,
             "made_of": _stamped(made_of),
             "files": files,
             "result": result,
         }
-        self._entries[path.name] = entry
+        self._entries[name] = entry
         try:
             with self._path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(entry | {"digest": _digest(entry)}, allow_nan=False) + "\n")

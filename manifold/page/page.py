@@ -6,6 +6,7 @@ import base64
 import hashlib
 import json
 import re
+from collections.abc import Iterable
 from importlib.resources import files
 from typing import Any
 
@@ -24,14 +25,20 @@ def make_page(document: dict[str, Any]) -> str:
 
     `served` is set if a program answers its requests.
     """
-    script, style = page_script(), _source("style.css")
     connect = "'self'" if document.get("served") else "'none'"
+    return fill_page(_source("page.html"), page_script(), _source("style.css"), document, connect=connect)
+
+
+def fill_page(
+    template: str, script: str, style: str, document: dict[str, Any], *, connect: str = "'none'"
+) -> str:
+    """Return a page of one file, which runs its own script and style only, and connects to nothing by default."""
     policy = (
         f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(style)}; img-src data: blob:; "
         f"connect-src {connect}; base-uri 'none'; form-action 'none'"
     )
     parts = {"POLICY": policy, "STYLE": style, "DATA": _json_in_html(document), "SCRIPT": script}
-    return re.sub(r"@(POLICY|STYLE|DATA|SCRIPT)@", lambda found: parts[found[1]], _source("page.html"))
+    return re.sub(r"@(POLICY|STYLE|DATA|SCRIPT)@", lambda found: parts[found[1]], template)
 
 
 def page_script() -> str:
@@ -54,8 +61,13 @@ def _body() -> str:
 
 def _joined(last: str) -> str:
     """Join the modules, in the order in which they need each other."""
-    joined = [_EXPORT.sub("", _IMPORT.sub("", _source(f"{name}.js"))) for name in (*_MODULES, last)]
-    return "\n".join(joined)
+    return joined_modules((*_MODULES, last))
+
+
+def joined_modules(names: Iterable[str], last: str = "") -> str:
+    """Join modules of this folder, then a script, into one script; each has to follow those that it imports."""
+    texts = [*(_source(f"{name}.js") for name in names), last]
+    return "\n".join(_EXPORT.sub("", _IMPORT.sub("", text)) for text in texts)
 
 
 def _source(name: str) -> str:

@@ -49,6 +49,7 @@ WORKS = {
     "find": ["find", "--lab", "50,20,10"],
     "report": ["report"],
     "fit": ["fit", "made.bsdf", "--free", "roughness"],
+    "export --target shader": ["export", "made.bsdf", "--target", "shader", "-o", "shader"],
     "explore -o": ["explore", "-o", "map.html"],
 }
 NEEDS = {

@@ -20,6 +20,7 @@ def chi_square_p_value(
     n_theta: int = 40,
     n_phi: int = 80,
     order: int = 6,
+    is_glossy: bool = False,
 ) -> float:
     """Probability of a misfit at least as large as the one seen, if `sample` does follow `pdf`.
 
@@ -30,6 +31,8 @@ def chi_square_p_value(
     Args:
         brdf: has `sample(wi, u)` and `pdf(wi, wo)`.
         wi: one direction, shape (3,).
+        is_glossy: whether cells are as fine as sharp highlights around the mirror direction, where the density is
+            steep.
     Returns:
         The p-value: below 1e-3 or so, divided by the number of tests made, it speaks against the sampling.
     """
@@ -38,6 +41,11 @@ def chi_square_p_value(
     theta = np.arccos(np.clip(wo[:, 2], -1.0, 1.0))
     phi = np.arctan2(wo[:, 1], wo[:, 0]) % (2.0 * np.pi)
     edges = np.linspace(0.0, np.pi / 2, n_theta + 1), np.linspace(0.0, 2.0 * np.pi, n_phi + 1)
+    if is_glossy:
+        edges = (
+            _refined(edges[0], np.arccos(wi[2])),
+            _refined(edges[1], (np.arctan2(wi[1], wi[0]) + np.pi) % (2 * np.pi)),
+        )
     counts, _, _ = np.histogram2d(theta, phi, bins=edges)
     probability = cell_probabilities(brdf, wi, edges[0], edges[1], order)
     # An integral a little off 1 in the last digits must not become a negative number of invalid samples.
@@ -45,6 +53,13 @@ def chi_square_p_value(
     observed = np.append(counts.ravel(), n_samples - wo.shape[0])
     expected = n_samples * np.append(probability.ravel(), invalid)
     return _p_value(observed, expected)
+
+
+def _refined(edges: Array, middle: float) -> Array:
+    """Edges, and finer ones around an angle in radians."""
+    steps = np.geomspace(1e-3, 0.3, 24)
+    fine = middle + np.concatenate([-steps, [0.0], steps])
+    return np.unique(np.concatenate([edges, fine[(fine > edges[0]) & (fine < edges[-1])]]))
 
 
 def cell_probabilities(brdf: Any, wi: Array, theta: Array, phi: Array, order: int = 6) -> Array:

@@ -26,6 +26,21 @@ def interpolate(table: Array, points: Array) -> Array:
     return out
 
 
+def cumulative_sums(values: Array) -> tuple[Array, Array, Array]:
+    """Normalise densities (P, T, R, C) to integrate to 1, and add them up.
+
+    Returns densities (P * T, R, C), their cumulative sums along each row, and those of the rows (P * T, R).
+    """
+    data = values.astype(np.float64).reshape(-1, *values.shape[2:])
+    conditional = np.zeros_like(data)
+    np.cumsum(0.5 * (data[:, :, :-1] + data[:, :, 1:]), axis=2, out=conditional[:, :, 1:])
+    rows = conditional[:, :, -1]
+    marginal = np.zeros_like(rows)
+    np.cumsum(0.5 * (rows[:, :-1] + rows[:, 1:]), axis=1, out=marginal[:, 1:])
+    total = marginal[:, -1]
+    return data / total[:, None, None], conditional / total[:, None, None], marginal / total[:, None]
+
+
 class Warp:
     """A family of densities on the unit square, one per (phi, theta), each of which integrates to 1.
 

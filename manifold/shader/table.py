@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from manifold.brdf.warp import Warp
+from manifold.brdf.warp import cumulative_sums
 from manifold.brdf.wrapper import WrappedBRDF
 from manifold.colour.conversion import interpolation_matrix
 from manifold.core.pairs import Pairs, flat_samples
@@ -174,7 +174,7 @@ def tabulate(file: BsdfFile, shape: Shape, lobes: Lobes) -> ShaderTable:
     kept = kept_incidences(len(file.theta_i_rad), shape.incidences)
     theta = np.asarray(file.theta_i_rad, float)[kept]
     texels = np.zeros((shape.height, shape.width, CHANNELS))
-    warp = Warp.from_values(file.vndf[:, kept], file.phi_i_rad, theta)
+    warps = cumulative_sums(file.vndf[:, kept])
     values = file.spectra[0, kept].astype(float)  # [T, 3, R, R]
     to_nodes = interpolation_matrix(np.linspace(0, 1, values.shape[-1]), np.linspace(0, 1, shape.values))
     values = np.moveaxis(to_nodes @ values @ to_nodes.T, 1, -1)
@@ -182,7 +182,7 @@ def tabulate(file: BsdfFile, shape: Shape, lobes: Lobes) -> ShaderTable:
     scales = [_unit(values), _unit(ndf)]
     for t in range(len(theta)):
         of_sums, of_values = shape.blocks(t)
-        texels[of_sums][..., :3] = _sums(warp, t, shape.columns, shape.rows)
+        texels[of_sums][..., :3] = _sums(*(table[t] for table in warps), shape.columns, shape.rows)
         texels[of_values][..., :3] = values[t] / scales[0]
     row = texels[shape.normal_row, : shape.nodes]
     row[:, 0], row[:, 1] = _resampled(ndf, shape.nodes) / scales[1], _resampled(sigma, shape.nodes)
@@ -215,12 +215,11 @@ _VALUES = (16, 24, 32, 48)  # nodes per axis of the values that are tried, and t
 _LEAST_INCIDENCES = 6  # files of the RGL database have eight
 
 
-def _sums(warp: Warp, t: int, columns: int, rows: int) -> Array:
-    """Return conditional sums, totals of the rows and marginal sums of incidence t on a grid, (rows, columns, 3).
+def _sums(data: Array, conditional: Array, marginal: Array, columns: int, rows: int) -> Array:
+    """Return conditional sums, totals of the rows and marginal sums of a warp on a grid, (rows, columns, 3).
 
     Totals have the mean 1 over y.
     """
-    data, conditional, marginal = warp.data[t], warp.conditional[t], warp.marginal[t]
     R, C = data.shape
     j, tx = _cells(columns, C)
     i, ty = _cells(rows, R)

@@ -17,11 +17,11 @@ from manifold.analytic import corpus
 from manifold.brdf import goniometer
 from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.warp import cumulative_sums
 from manifold.core.directions import from_spherical, hemisphere_quadrature, to_spherical
 from manifold.core.errors import ShapeError
 from manifold.core.records import Bands
 from manifold.io_rgl import read_bsdf, write_bsdf
-from manifold.render.plugin.packed_tables import cumulative_sums
 
 PAIRS = 5_000
 ANISOTROPIC = {m.name for m in corpus.anisotropic_materials()}

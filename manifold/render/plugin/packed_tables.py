@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from manifold.brdf.warp import cumulative_sums
 from manifold.core.errors import UsageError
 from manifold.core.records import AnyArray, Array, BsdfFile
 
@@ -179,21 +180,6 @@ def _neighbours(slices: Array) -> Array:
     """
     upper = slices[:, 1:] if slices.shape[1] > 1 else slices
     return np.stack([slices[:, : upper.shape[1]], upper], axis=-2)
-
-
-def cumulative_sums(values: Array) -> tuple[Array, Array, Array]:
-    """Normalise densities (P, T, R, C) to integrate to 1, and add them up.
-
-    Returns densities (P * T, R, C), their cumulative sums along each row, and those of the rows (P * T, R).
-    """
-    data = values.astype(np.float64).reshape(-1, *values.shape[2:])
-    conditional = np.zeros_like(data)
-    np.cumsum(0.5 * (data[:, :, :-1] + data[:, :, 1:]), axis=2, out=conditional[:, :, 1:])
-    rows = conditional[:, :, -1]
-    marginal = np.zeros_like(rows)
-    np.cumsum(0.5 * (rows[:, :-1] + rows[:, 1:]), axis=1, out=marginal[:, 1:])
-    total = marginal[:, -1]
-    return data / total[:, None, None], conditional / total[:, None, None], marginal / total[:, None]
 
 
 def _warp_cells(data: Array, conditional: Array, of_incidence: tuple[int, ...]) -> Array:

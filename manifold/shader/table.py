@@ -174,7 +174,7 @@ def tabulate(file: BsdfFile, shape: Shape, lobes: Lobes) -> ShaderTable:
     kept = kept_incidences(len(file.theta_i_rad), shape.incidences)
     theta = np.asarray(file.theta_i_rad, float)[kept]
     texels = np.zeros((shape.height, shape.width, CHANNELS))
-    warps = cumulative_sums(file.vndf[:, kept])
+    data, conditional, marginal = cumulative_sums(file.vndf[:, kept])
     values = file.spectra[0, kept].astype(float)  # [T, 3, R, R]
     to_nodes = interpolation_matrix(np.linspace(0, 1, values.shape[-1]), np.linspace(0, 1, shape.values))
     values = np.moveaxis(to_nodes @ values @ to_nodes.T, 1, -1)
@@ -182,7 +182,7 @@ def tabulate(file: BsdfFile, shape: Shape, lobes: Lobes) -> ShaderTable:
     scales = [_unit(values), _unit(ndf)]
     for t in range(len(theta)):
         of_sums, of_values = shape.blocks(t)
-        texels[of_sums][..., :3] = _sums(*(table[t] for table in warps), shape.columns, shape.rows)
+        texels[of_sums][..., :3] = _sums(data[t], conditional[t], marginal[t], shape.columns, shape.rows)
         texels[of_values][..., :3] = values[t] / scales[0]
     row = texels[shape.normal_row, : shape.nodes]
     row[:, 0], row[:, 1] = _resampled(ndf, shape.nodes) / scales[1], _resampled(sigma, shape.nodes)

@@ -215,13 +215,13 @@ template <class Real> INLINE void evaluate_tile(const Tables &tables, const Loca
         placed.place(tables.warp, pairs);
         placed.weigh(tables, pairs, divide, corners);
         if (bands <= FEW) {
-            // FEW numbers are written; the next pair overwrites what is too much.
+            // FEW numbers are written where the tile has room for them; the next pair overwrites what is too much.
             const ptrdiff_t row_size = ptrdiff_t(tables.columns) * FEW;
             for (int k = 0; k < n; ++k) {
                 Real values[FEW];
                 corners.read_few(row_size, k, values);
                 for (int b = 0; b < FEW; ++b) values[b] = pairs.cos_o[k] > 0.0 ? values[b] : Real(0);
-                if (k < n - 1)
+                if (ptrdiff_t(k) * bands + FEW <= ptrdiff_t(n) * bands)
                     std::memcpy(out + ptrdiff_t(k) * bands, values, sizeof(values));
                 else
                     std::copy_n(values, bands, out + ptrdiff_t(k) * bands);

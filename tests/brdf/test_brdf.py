@@ -360,3 +360,15 @@ def test_no_directions_give_no_values_and_directions_below_the_horizon_no_albedo
     assert brdf.eval(none, none).shape == (0, brdf.bands.count)
     assert brdf.albedo(none).shape == (0, brdf.bands.count)
     assert not np.any(brdf.albedo(np.array([0.0, 0.0, -1.0])))
+
+
+@pytest.mark.parametrize("bands", range(1, 7))
+@pytest.mark.parametrize("count", [1, 2, 31, 32, 33, 70])
+def test_values_are_written_within_the_memory_that_is_given(bands, count, rng):
+    nm = np.arange(500.0, 500.0 + bands)
+    brdf = MeasuredBRDF(sample_file("few_bands", wavelengths_nm=nm))
+    wi, wo = (from_spherical(rng.uniform(0.0, 1.4, count), rng.uniform(-3.0, 3.0, count)) for _ in range(2))
+    memory = np.full((count + 4, bands), -7.0)
+    brdf.eval(wi, wo, out=memory[:count])
+    np.testing.assert_array_equal(memory[count:], -7.0)
+    np.testing.assert_allclose(memory[:count], brdf.eval(wi, wo))

@@ -100,7 +100,7 @@ def _file_of(name: str) -> Path | None:
 
 
 HELD_OUT = (
-    "nearest", "published", "pca_6_cube_root", "gplvm_2", "gplvm_6",
+    "nearest", "nearest_ball", "published", "pca_6_cube_root", "pca_8_cube_root", "gplvm_2", "gplvm_6",
     "blend_2", "blend_3", "nonnegative",
 )  # fmt: skip
 CHARTED = (

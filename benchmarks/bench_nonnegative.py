@@ -1,6 +1,7 @@
 """Leave-one-out of non-negative combinations beside other methods: three errors of every material, in one table.
 
     python benchmarks/bench_nonnegative.py FOLDER           # of .bsdf files
+    python benchmarks/bench_nonnegative.py built-in         # the built-in library
     python benchmarks/bench_nonnegative.py rgl_nbrdf.zip    # of the published neural fits, taken as the truth
 
 `--numbers 8 12 16 24 40` adds the curve of error against numbers. Encoded at every sixth direction pair of the default
@@ -31,12 +32,15 @@ from manifold.evaluate.method_data import Data
 from manifold.evaluate.methods import standard_methods
 from manifold.evaluate.seen_fits import seen_principled
 from manifold.io_rgl import read_bsdf
+from manifold.library.store import Library
 from manifold.model.combination import Combination
-from manifold.model.materials import MaterialTable
+from manifold.model.materials import MaterialCache, MaterialTable
 from manifold.registries import MAPPINGS
 
 DEFAULT = ("nearest", "gplvm_6", "nonnegative", "few_atoms")
 """Keys of the registry of methods."""
+
+BUILT_IN = "built-in"
 
 COLUMNS = ("linear", "cube_root", "ball", "worst", "ball_itp")
 
@@ -59,7 +63,10 @@ class Network:
 
 
 def load(source: Path) -> list:
-    """The materials of a folder of .bsdf files, or of a zip file of networks."""
+    """The materials of a folder of .bsdf files, of the built-in library, or of a zip file of networks."""
+    if str(source) == BUILT_IN:
+        library = Library.open(BUILT_IN)
+        return list(MaterialCache(library, library.names).filled())
     if source.is_dir() and any(source.glob("*.bsdf")):
         return [MeasuredBRDF(read_bsdf(path)) for path in sorted(source.glob("*.bsdf"))]
     return [Network(name, brdf) for name, brdf in read_neural_fits(source).items()]

@@ -91,7 +91,7 @@ def fit_nearest_ball(data: Data, training: Indices) -> Encode:
 
 
 OWN = (
-    Method("nearest_ball", "nearest material, by balls in other lights", lambda B: 1, fit_nearest_ball),
+    Method("nearest_by_balls", "nearest material, by balls in other lights", lambda B: 1, fit_nearest_ball),
     Method("pca_8_cube_root", "PCA 8, cube root", lambda B: 8, fit_pca("cube-root", 8)),
 )
 """Methods that only this comparison has."""

@@ -100,10 +100,10 @@ def _file_of(name: str) -> Path | None:
 
 
 HELD_OUT = (
-    "nearest", "nearest_ball", "published", "pca_6_cube_root", "pca_8_cube_root", "gplvm_2", "gplvm_6",
+    "nearest", "nearest_by_balls", "published", "pca_6_cube_root", "pca_8_cube_root", "gplvm_2", "gplvm_6",
     "blend_2", "blend_3", "nonnegative",
 )  # fmt: skip
-BUILT_IN = ("nearest", "nearest_ball", "published", "blend_2", "nonnegative")
+BUILT_IN = ("nearest", "nearest_by_balls", "published", "blend_2", "nonnegative")
 CHARTED = (
     "nearest", "published", "blend_2", "nonnegative", "nonnegative_angles_2_2",
     "blend_2_angles_2_2",

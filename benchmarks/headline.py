@@ -16,7 +16,7 @@ ROWS = {
     "manifold embed, colours fitted": ("held_out", "blend_2"),
     "manifold reconstruct": ("held_out", "nonnegative"),
     "nearest material, by values": ("held_out", "nearest"),
-    "nearest material, by balls in other lights": ("held_out", "nearest_ball"),
+    "nearest material, by balls in other lights": ("held_out", "nearest_by_balls"),
     "GPLVM after Hikichi & Iwasaki": ("held_out", "published"),
     "principled, fitted to the file itself": ("held_out", "principled"),
 }

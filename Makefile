@@ -23,7 +23,8 @@ help:
 	@echo "make attack      changed files, models, libraries, scenes, fits, servers: SEED=0 MINUTES=10"
 	@echo "make docs        the documentation site, into docs/_build/html; warnings are errors"
 	@echo "make bench       speed as ratios, into benchmarks/results/"
-	@echo "make evidence    measured figures of the documents, from the data in a folder: DATA=FOLDER"
+	@echo "make evidence    the headline table of README, from the built-in library; DATA=FOLDER: all measured figures of the"
+	@echo "                 documents, from the data in a folder"
 	@echo "make engines     exports as Cycles, MaterialX, three.js and Adobe's OpenPBR draw them, into benchmarks/results/engines.json:"
 	@echo "                 OPENPBR_BSDF=FOLDER names a checkout of github.com/adobe/openpbr-bsdf"
 	@echo "make golden      which numbers of commands and calls moved since they were kept: KEEP=1 keeps them, ONLY=words"
@@ -78,10 +79,11 @@ attack: .venv/readydev
 bench: .venv/readydev
 	$(BIN)/python benchmarks/run_all.py
 
+DATA ?=
+
 evidence: .venv/readydev
-	@test -n "$(DATA)" || { echo "make evidence DATA=FOLDER, with what docs/explanation/data.md lists"; exit 2; }
-	$(BIN)/python benchmarks/run_all.py --data $(DATA)
-	$(BIN)/python docs/figures.py
+	$(BIN)/python benchmarks/run_all.py $(if $(DATA),--data $(DATA),built_in_readings built_in_held_out)
+	$(if $(DATA),$(BIN)/python docs/figures.py,$(BIN)/python benchmarks/headline.py)
 
 # One thread a process: two processes share the steps.
 golden: .venv/readydev

@@ -2,25 +2,33 @@
 
     python benchmarks/bench_met.py LIBRARY WORKBOOK ... [--repeatability 0.0025 0.3] [--json FILE]
 
-Of instruments' workbooks, each reading left out in turn; medians and largest over readings, median over workbooks.
+Of instruments' workbooks, each reading left out in turn; means, medians and largest over all readings. Other methods
+predict it from the same readings without a library: `mean` of the others, the one `nearest` in its angle from the
+mirror direction, a `gaussian_process` over half-vector coordinates, and one over aspecular angle and incidence.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from completion_baselines import aspecular_coordinates, gaussian_process_of_one
 
 from manifold.colour.difference import colour_differences
+from manifold.core.pairs import Pairs
 from manifold.core.records import Array
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.completion import Completion
 from manifold.formats.readings import Readings
 from manifold.formats.registry import read_readings
 from manifold.library.store import Library
+
+SAME_DEG = 0.5
+"""Angles from the mirror direction that differ by less are equal."""
 
 
 def met(atoms: LibraryAtoms, readings: Readings) -> Array:
@@ -30,20 +38,52 @@ def met(atoms: LibraryAtoms, readings: Readings) -> Array:
     return found
 
 
-def left_out(atoms: LibraryAtoms, readings: Readings) -> Array:
-    """CIEDE2000 at every reading, of the completion of the others."""
-    found = []
+def mean(others: Readings, wi: Array, wo: Array) -> Array:
+    """The mean of the other readings, (1, B)."""
+    return others.values.mean(axis=0, keepdims=True)
+
+
+def nearest_aspecular(others: Readings, wi: Array, wo: Array) -> Array:
+    """The reading whose angle from the mirror direction is nearest; the mean of such readings, (1, B)."""
+    far = np.abs(from_mirror_deg(others.wi, others.wo) - from_mirror_deg(wi, wo))
+    return others.values[far < far.min() + SAME_DEG].mean(axis=0, keepdims=True)
+
+
+def gaussian_process(others: Readings, wi: Array, wo: Array) -> Array:
+    """A Gaussian process of the other readings, (1, B)."""
+    return gaussian_process_of_one(Pairs(others.wi, others.wo), others.values, Pairs(wi, wo))
+
+
+def gaussian_process_in_plane(others: Readings, wi: Array, wo: Array) -> Array:
+    """A Gaussian process over aspecular angles and incidences, (1, B); all readings lie in the plane of incidence."""
+    read = Pairs(others.wi, others.wo)
+    return gaussian_process_of_one(read, others.values, Pairs(wi, wo), aspecular_coordinates)
+
+
+BASELINES: dict[str, Callable[[Readings, Array, Array], Array]] = {
+    "mean": mean, "nearest": nearest_aspecular, "gaussian_process": gaussian_process,
+    "gaussian_process_in_plane": gaussian_process_in_plane,
+}  # fmt: skip
+
+
+def from_mirror_deg(wi: Array, wo: Array) -> Array:
+    """Angles between outgoing and mirror directions, (P,)."""
+    return np.rad2deg(np.arccos(np.clip(np.sum(wi * [-1.0, -1.0, 1.0] * wo, axis=1), -1.0, 1.0)))
+
+
+def left_out(atoms: LibraryAtoms, readings: Readings) -> dict[str, Array]:
+    """CIEDE2000 at every reading, as the completion and the baselines predict it from the others."""
+    truth = Completion.of(atoms, readings).readings  # in the bands of the library
+    found: dict[str, list[float]] = {"left_out": []} | {f"left_out_{name}": [] for name in BASELINES}
     for k in range(len(readings)):
-        others = np.arange(len(readings)) != k
-        some = replace(
-            readings, wi=readings.wi[others], wo=readings.wo[others], values=readings.values[others],
-            weights=readings.weights[others], scatter=readings.scatter[others],
-        )  # fmt: skip
-        made = Completion.of(atoms, some)
-        truth = Completion.of(atoms, readings).readings  # in the bands of the library
-        f = made.brdf.eval(truth.wi[k : k + 1], truth.wo[k : k + 1])
-        found.append(colour_differences(truth.values[k : k + 1], f, truth.bands, "D65")[0][0])
-    return np.array(found)
+        is_other = np.arange(len(readings)) != k
+        wi, wo = truth.wi[k : k + 1], truth.wo[k : k + 1]
+        others = truth.select_pairs(is_other)
+        predicted = {"left_out": Completion.of(atoms, readings.select_pairs(is_other)).brdf.eval(wi, wo)}
+        predicted |= {f"left_out_{name}": predict(others, wi, wo) for name, predict in BASELINES.items()}
+        for name, f in predicted.items():
+            found[name].append(colour_differences(truth.values[k : k + 1], f, truth.bands, "D65")[0][0])
+    return {name: np.array(values) for name, values in found.items()}
 
 
 def main() -> None:
@@ -55,18 +95,22 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     atoms, rows = LibraryAtoms.of_library(Library(options.library)), dict[str, dict[str, object]]()
-    print(
-        "| repeatability | met: mean | largest | left out: median | 90th percentile |\n|---|---|---|---|---|"
-    )
+    print("| repeatability | met: mean | largest | left out: median / 90th percentile |\n|---|---|---|---|")
     for repeatability in options.repeatability:
         read = [replace(read_readings(path), repeatability=repeatability) for path in options.workbooks]
         own = np.concatenate([met(atoms, one) for one in read])
-        others = np.concatenate([left_out(atoms, one) for one in read])
-        row = [own.mean(), own.max(), np.median(others), np.percentile(others, 90)]
+        each = [left_out(atoms, one) for one in read]
+        both = {
+            name: np.percentile(np.concatenate([one[name] for one in each]), (50, 90)) for name in each[0]
+        }
         rows[f"{repeatability:g}"] = {
-            "workbooks": len(read), "met_mean": row[0], "met_largest": row[1], "left_out": row[2:],
+            "workbooks": len(read), "met_mean": own.mean(), "met_largest": own.max(),
+            **{name: values.tolist() for name, values in both.items()},
         }  # fmt: skip
-        print(f"| {repeatability:.2%} |", " | ".join(f"{value:.2f}" for value in row), "|", flush=True)
+        cells = [f"{name} {median:.2f} / {p90:.2f}" for name, (median, p90) in both.items()]
+        print(
+            f"| {repeatability:.2%} | {own.mean():.2f} | {own.max():.2f} |", ", ".join(cells), "|", flush=True
+        )
     if options.json:
         options.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 

@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 from bench_readings import KINDS, read
 from bench_spectral import GAIN, OFFSET, SCATTER
+from left_out import errors_of_completion
 
 from manifold.estimate import Completion, LibraryAtoms
 from manifold.estimate.evidence import Evidence
-from manifold.estimate.expected import errors_of
 from manifold.formats.readings import geometry_ma_t12
 from manifold.library.store import Library
 
@@ -50,7 +50,7 @@ def main() -> None:
         ):
             seen = Evidence.of_instruments(others, readings, (left, np.empty((len(left), 0))))
             made = Completion.of(others, seen)
-            errors = errors_of(atoms, m, made.on_grid, made.on_ball)
+            errors = errors_of_completion(atoms, m, made)
             found[case].append([float(getattr(errors, kind)) for kind in KINDS])
         print(name, found["exact"][-1], found["noisy"][-1], flush=True)
     result = {

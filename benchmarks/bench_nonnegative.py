@@ -1,6 +1,7 @@
 """Leave-one-out of non-negative combinations beside other methods: three errors of every material, in one table.
 
     python benchmarks/bench_nonnegative.py FOLDER           # of .bsdf files
+    python benchmarks/bench_nonnegative.py built-in         # the built-in library
     python benchmarks/bench_nonnegative.py rgl_nbrdf.zip    # of the published neural fits, taken as the truth
 
 `--numbers 8 12 16 24 40` adds the curve of error against numbers. Encoded at every sixth direction pair of the default
@@ -21,21 +22,27 @@ import numpy as np
 from neural_fits import NeuralBRDF, read_neural_fits, seen_neural
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.colour import panel
 from manifold.core.metrics import Errors
 from manifold.core.pairs import Pairs, RusinkiewiczGrid
-from manifold.core.records import Array
-from manifold.evaluate.baselines import fit_nonnegative
-from manifold.evaluate.cross_validation import Method, cross_validate, leave_out
+from manifold.core.records import Array, Indices
+from manifold.evaluate.baselines import fit_nonnegative, fit_pca
+from manifold.evaluate.cross_validation import Encode, Method, cross_validate, leave_out
 from manifold.evaluate.method_data import Data
 from manifold.evaluate.methods import standard_methods
 from manifold.evaluate.seen_fits import seen_principled
 from manifold.io_rgl import read_bsdf
-from manifold.model.materials import MaterialTable
+from manifold.library.store import Library
+from manifold.model.combination import Combination
+from manifold.model.materials import MaterialCache, MaterialTable
+from manifold.registries import MAPPINGS
 
 DEFAULT = ("nearest", "gplvm_6", "nonnegative", "few_atoms")
 """Keys of the registry of methods."""
 
-COLUMNS = ("linear", "cube_root", "ball", "worst")
+BUILT_IN = "built-in"
+
+COLUMNS = ("linear", "cube_root", "ball", "worst", "ball_itp")
 
 
 class Network:
@@ -56,15 +63,43 @@ class Network:
 
 
 def load(source: Path) -> list:
-    """The materials of a folder of .bsdf files, or of a zip file of networks."""
+    """The materials of a folder of .bsdf files, of the built-in library, or of a zip file of networks."""
+    if str(source) == BUILT_IN:
+        library = Library.open(BUILT_IN)
+        return list(MaterialCache(library, library.names).filled())
     if source.is_dir() and any(source.glob("*.bsdf")):
         return [MeasuredBRDF(read_bsdf(path)) for path in sorted(source.glob("*.bsdf"))]
     return [Network(name, brdf) for name, brdf in read_neural_fits(source).items()]
 
 
+def fit_nearest_ball(data: Data, training: Indices) -> Encode:
+    """Predict the material whose ball differs least, by CIEDE2000 in the lights of fits, in which none is judged."""
+    lights = panel.fitted()
+
+    def xyz() -> list[Array]:
+        rgb = [material.select_bands(data.bands.tolist()) for material in data.materials]
+        return [lights.xyz(material.eval_at(lights), material.bands) for material in rgb]
+
+    balls = data.cached("balls in the lights of fits", xyz)
+
+    def encode(i: int) -> Combination:
+        apart = [lights.compare(balls[i], balls[k]).ball for k in training]
+        weights = np.arange(data.n_materials) == training[int(np.argmin(apart))]
+        return Combination(MAPPINGS["identity"], weights.astype(float), is_clipped=False)
+
+    return encode
+
+
+OWN = (
+    Method("nearest_by_balls", "nearest material, by balls in other lights", lambda B: 1, fit_nearest_ball),
+    Method("pca_8_cube_root", "PCA 8, cube root", lambda B: 8, fit_pca("cube-root", 8)),
+)
+"""Methods that only this comparison has."""
+
+
 def methods(names: Sequence[str], numbers: Sequence[int], anchors: Sequence[str]) -> list[Method]:
     """Methods by their keys, combinations of so many numbers, and anchors."""
-    known = {m.key: m for m in standard_methods()}
+    known = {m.key: m for m in (*standard_methods(), *OWN)}
     codes = [
         Method(
             f"few_atoms_{n}", "few samples and lobes", lambda B, n=n: n, fit_nonnegative(5, lambda B, n=n: n)
@@ -103,8 +138,8 @@ def main() -> None:
     balls = MaterialTable(materials, data.bands)
     print(f"{len(materials)} materials; median / 90th percentile")
     print(
-        "| method | numbers | linear | cube root | ball CIEDE2000 | worst light | seconds per material |\n"
-        "|---|---|---|---|---|---|---|"
+        "| method | numbers | linear | cube root | ball CIEDE2000 | worst light | ball Delta E ITP | seconds each |\n"
+        "|---|---|---|---|---|---|---|---|"
     )
     rows: dict[str, dict[str, object]] = {}
     for method in methods(arguments.methods, arguments.numbers, arguments.anchors):
@@ -121,7 +156,7 @@ def main() -> None:
             errors.append([getattr(found, column) for column in COLUMNS])
         both = np.percentile(errors, (50, 90), axis=0).T.tolist()
         rows[method.key] = {"numbers": method.numbers(3), **dict(zip(COLUMNS, both, strict=True))}
-        cells = [f"{m:.{d}f} / {p:.{d}f}" for (m, p), d in zip(both, (3, 3, 2, 2), strict=True)]
+        cells = [f"{m:.{d}f} / {p:.{d}f}" for (m, p), d in zip(both, (3, 3, 2, 2, 2), strict=True)]
         print(f"| {method.title} | {method.numbers(3)} | {' | '.join(cells)} | {seconds:.2f} |", flush=True)
         for (_, out), row in zip(splits, errors, strict=True):
             if arguments.materials:

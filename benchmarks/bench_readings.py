@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from left_out import errors_of_completion
 
 from manifold.colour.conversion import to_xyz
 from manifold.colour.correction import learn_correction
@@ -19,7 +21,7 @@ from manifold.colour.difference import delta_e_2000
 from manifold.core.records import Array, Bands
 from manifold.estimate import Completion, LibraryAtoms, calibrate, suggest
 from manifold.estimate.evidence import Evidence
-from manifold.estimate.expected import errors_of
+from manifold.estimate.gloss import gloss_units
 from manifold.estimate.suggestions import all_directions
 from manifold.formats.readings import Readings, aspecular_pair, geometry_ma_t12
 from manifold.library.store import Library
@@ -48,9 +50,24 @@ def errors(
     seen = Evidence.of_instruments(
         others, read(atoms, m, at, wi, wo, chosen), (left, np.empty((len(left), 0)))
     )
-    made = Completion.of(others, seen)
-    found = errors_of(atoms, m, made.on_grid, made.on_ball)
+    found = errors_of_completion(atoms, m, Completion.of(others, seen))
     return np.array([getattr(found, kind) for kind in KINDS])
+
+
+def left_out_errors(
+    atoms: LibraryAtoms, wi: Array, wo: Array, angles: tuple[int, ...]
+) -> dict[str, list[float]]:
+    """Medians and 90th percentiles over materials, completed from these directions and gloss at these angles."""
+    at, everywhere = atoms.at(wi, wo), np.arange(len(wi))
+    rows = []
+    for m, material in enumerate(atoms.materials[: len(atoms.names)]):
+        gloss = gloss_units(material, angles) if angles else {}
+        readings = replace(read(atoms, m, at, wi, wo, everywhere), gloss=gloss)
+        completion = Completion.of(atoms.without(m).in_atom_bands(), readings)
+        found = errors_of_completion(atoms, m, completion)
+        rows.append([getattr(found, kind) for kind in KINDS])
+    both = np.quantile(rows, (0.5, 0.9), axis=0).T.tolist()
+    return dict(zip(KINDS, both, strict=True))
 
 
 def suggestions(atoms: LibraryAtoms) -> dict[str, object]:
@@ -114,14 +131,15 @@ def expectations(atoms: LibraryAtoms) -> dict[str, dict[str, object]]:
                 kind: Reliability.of(*(getattr(of, kind) for of in both))
                 for kind in ("linear", "cube_root", "ball")
             }
-            summary = ["{:.2f} / {:.2f}".format(*one.true) for one in of_kind.values()]
+            errors = left_out_errors(atoms, wi, wo, angles)
+            summary = ["{:.2f} / {:.2f}".format(*errors[kind]) for kind in of_kind]
             ranks = [f"{one.rank_correlation:.2f}" for one in of_kind.values()]
             below = [f"{100 * one.below_twice:.0f}" for one in of_kind.values()]
             gloss = ", ".join(map(str, angles))
             print(f"| {name} | {gloss} | {' | '.join(summary)} | {', '.join(ranks)} | {', '.join(below)} |")
             rows["_".join((name, *map(str, angles)))] = {
                 kind: {
-                    "error": list(one.true),
+                    "error": errors[kind],
                     "rank": one.rank_correlation,
                     "percent_below_twice": round(100 * one.below_twice),
                 }

@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 from bench_readings import read
+from left_out import errors_of_completion
 
 from manifold.core.records import Array
 from manifold.estimate import Completion, LibraryAtoms
-from manifold.estimate.expected import errors_of
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.suggestions import DIRECTIONS, all_directions
 from manifold.formats.readings import aspecular_pair, geometry_ma_t12
@@ -73,7 +73,7 @@ def main() -> None:
                 some = np.arange(len(wi)) < ends[count - 1]
                 taken = replace(readings.select_pairs(some), gloss=units if has_gloss else {})
                 completed = Completion.of(others, taken)
-                of_material = errors_of(atoms, m, completed.on_grid, completed.on_ball)
+                of_material = errors_of_completion(atoms, m, completed)
                 errors[f"{case}_{step}"].append([float(getattr(of_material, kind)) for kind in KINDS])
     result = {
         step: {

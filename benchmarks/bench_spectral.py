@@ -3,9 +3,11 @@
     python benchmarks/bench_spectral.py LIBRARY FOLDER [--json FILE]
 
 LIBRARY holds the 20 RGB files of `docs/explanation/data.md`; FOLDER car paints of Cornell University as pbrt-v2 ships
-them (`*.brdf`, 31 bands) and PTFE after Germer 2017 (`*.csv`, 4 wavelengths). The 12 readings are those nearest to the
-geometries of an MA-T12, or 12 at random. *noisy*: the same with simulated errors of an instrument, a gain of 1 %
-(standard deviation) for the sample, 0.5 % for each reading, and an offset of 0.001 in reflectance.
+them (`*.brdf`, 31 bands) and PTFE after Germer 2017 (`*.csv`, 4 wavelengths). *instrument*: measured pairs near the
+geometries of an MA-T12, whose angles `geometries` states. *random*: 12 pairs, drawn 10 times; each number is its median
+over the draws, `ciede2000_medians` and `ciede2000_p90s` are the lowest and the highest of the draws. *noisy*: those of
+the instrument with simulated errors, a gain of 1 % (standard deviation) for the sample, 0.5 % for each reading, and an
+offset of 0.001 in reflectance.
 """
 
 from __future__ import annotations
@@ -13,23 +15,30 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from completion_baselines import BASELINES, Problem
 
+from manifold.brdf.interface import BRDF
 from manifold.colour.difference import colour_differences
-from manifold.core.directions import from_spherical
+from manifold.core.directions import from_spherical, to_spherical
 from manifold.core.pairs import Pairs
-from manifold.core.records import Array, Bands
+from manifold.core.records import Array, Bands, Indices
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.completion import Completion
-from manifold.formats.readings import Readings, geometry_ma_t12
+from manifold.formats.readings import MA_T12_NAMES, Readings, geometry_ma_t12
 from manifold.library.store import Library
 from manifold.model.materials import MaterialCache
 
 READ = 12
+DRAWS = 10
+APART_DEG = 5.5
+"""Largest angle between a measured direction and the instrument's. The car paints have incidences every 10 degrees."""
 REGIONS = {"within_12": (0.0, 12.0), "12_to_30": (12.0, 30.0), "beyond_30": (30.0, 181.0)}
 """Angles between the outgoing direction and the mirror direction, in degrees."""
 GAIN, SCATTER, OFFSET = 0.01, 0.005, 0.001
@@ -47,8 +56,7 @@ class Sample:
     @property
     def from_mirror_deg(self) -> Array:
         """Angle between the outgoing and the mirror direction, (P,)."""
-        mirror = self.pairs.wi * [-1.0, -1.0, 1.0]
-        return np.rad2deg(np.arccos(np.clip(np.sum(mirror * self.pairs.wo, axis=1), -1.0, 1.0)))
+        return angle_deg(self.pairs.wi * [-1.0, -1.0, 1.0], self.pairs.wo)
 
 
 def turned_to_mirror(name: str, nm: Array, angles: Array, f: Array) -> Sample:
@@ -92,16 +100,50 @@ def read_germer(path: Path) -> Sample:
     )
 
 
-def like_instrument(sample: Sample) -> Array:
-    """The readings nearest to the geometries of an MA-T12, each once."""
+def angle_deg(a: Array, b: Array) -> Array:
+    """Angle between directions (..., 3), in degrees."""
+    return np.rad2deg(np.arccos(np.clip(np.sum(a * b, axis=-1), -1.0, 1.0)))
+
+
+def in_one_azimuth(wi: Array, wo: Array) -> tuple[Array, Array]:
+    """Pairs of an isotropic sample, turned and mirrored: wi at azimuth 0, wo between 0 and 180 degrees."""
+    (theta_i, phi_i), (theta_o, phi_o) = to_spherical(wi), to_spherical(wo)
+    apart = np.arccos(np.cos(phi_o - phi_i))
+    return from_spherical(theta_i, np.zeros_like(phi_i)), from_spherical(theta_o, apart)
+
+
+def like_instrument(sample: Sample) -> tuple[Indices, list[dict[str, Any]]]:
+    """The measured pairs, each once, for the geometries of an MA-T12, and their angles.
+
+    Both directions lie within `APART_DEG` of the instrument's, in either order. Of such pairs, the one is taken whose
+    directions and angle from the mirror direction differ least in sum; geometries without one are left out.
+    """
+    own = in_one_azimuth(sample.pairs.wi, sample.pairs.wo)
     chosen: list[int] = []
-    for a, b in zip(*geometry_ma_t12(), strict=True):
-        far = np.sum((sample.pairs.wi - a) ** 2 + (sample.pairs.wo - b) ** 2, axis=1)
-        swapped = np.sum((sample.pairs.wi - b) ** 2 + (sample.pairs.wo - a) ** 2, axis=1)
-        far = np.minimum(far, swapped)
-        far[chosen] = np.inf
-        chosen.append(int(np.argmin(far)))
-    return np.array(chosen)
+    stated: list[dict[str, Any]] = []
+    for name, a, b in zip(MA_T12_NAMES, *geometry_ma_t12(), strict=True):
+        aspecular = angle_deg(a * [-1.0, -1.0, 1.0], b)
+        apart = [
+            [angle_deg(measured, wanted) for measured, wanted in zip(own, pair, strict=True)]
+            for pair in (in_one_azimuth(a[None], b[None]), in_one_azimuth(b[None], a[None]))
+        ]
+        farther = np.min(np.max(apart, axis=1), axis=0)
+        cost = np.min(np.sum(apart, axis=1), axis=0) + np.abs(sample.from_mirror_deg - aspecular)
+        cost[farther > APART_DEG] = np.inf
+        cost[chosen] = np.inf
+        best = int(np.argmin(cost))
+        found: dict[str, Any] = {"geometry": name}
+        if np.isfinite(cost[best]):
+            chosen.append(best)
+            pair = sample.pairs[best : best + 1]
+            found |= {
+                "incidence_deg": float(np.rad2deg(np.arccos(pair.wi[0, 2]))),
+                "outgoing_deg": float(np.rad2deg(np.arccos(pair.wo[0, 2]))),
+                "from_mirror_deg": float(sample.from_mirror_deg[best]),
+                "apart_deg": float(farther[best]),
+            }
+        stated.append(found)
+    return np.array(chosen), stated
 
 
 def errors(sample: Sample, some: Array, predicted: Array) -> dict[str, object]:
@@ -119,7 +161,7 @@ def errors(sample: Sample, some: Array, predicted: Array) -> dict[str, object]:
         here = (far >= low) & (far < high)
         if not np.any(here):
             continue
-        row = {
+        row: dict[str, object] = {
             "pairs": int(here.sum()),
             "cube_root": float(
                 np.linalg.norm(roots[1][here] - roots[0][here]) / np.linalg.norm(roots[0][here])
@@ -137,6 +179,45 @@ def errors(sample: Sample, some: Array, predicted: Array) -> dict[str, object]:
     return result
 
 
+def completed(sample: Sample, read: Sample, chosen: Indices, atoms: LibraryAtoms) -> dict[str, object]:
+    """Errors of a completion from some readings at all other pairs."""
+    others = np.setdiff1d(np.arange(len(sample.f)), chosen)
+    some, judged = sample.pairs[chosen], sample.pairs[others]
+    readings = Readings(sample.name, "measured", some.wi, some.wo, sample.nm, read.f[chosen])
+    brdf = Completion.of(atoms, readings).brdf
+    f, exchanged = brdf.eval(judged.wi, judged.wo), brdf.eval(judged.wo, judged.wi)
+    apart = np.abs(f - exchanged) / np.maximum(f + exchanged, 1e-9)
+    return errors(sample, others, f) | {"not_reciprocal": float(np.median(apart))}
+
+
+def all_methods(
+    sample: Sample, chosen: Indices, atoms: LibraryAtoms, materials: Sequence[BRDF]
+) -> dict[str, dict[str, object]]:
+    """Errors of every method from some exact readings."""
+    others = np.setdiff1d(np.arange(len(sample.f)), chosen)
+    problem = Problem(
+        sample.pairs[chosen], sample.f[chosen], Bands(sample.nm), sample.pairs[others], materials
+    )
+    return {
+        "complete": completed(sample, sample, chosen, atoms),
+        **{name: errors(sample, others, complete(problem)) for name, complete in BASELINES.items()},
+    }
+
+
+def over_draws(draws: list[Any]) -> Any:
+    """Medians over the draws of every number, and the lowest and highest CIEDE2000."""
+    if not isinstance(draws[0], dict):
+        return np.median(draws, axis=0).tolist()
+    rows = {
+        key: over_draws([draw[key] for draw in draws if key in draw]) for key in dict.fromkeys(chain(*draws))
+    }
+    if "ciede2000" in rows:
+        both = np.array([draw["ciede2000"] for draw in draws])
+        lowest, highest = both.min(axis=0).tolist(), both.max(axis=0).tolist()
+        rows["ciede2000_medians"], rows["ciede2000_p90s"] = map(list, zip(lowest, highest, strict=True))
+    return rows
+
+
 def main() -> None:
     """Print and keep errors by sample, readings, method and region."""
     parser = argparse.ArgumentParser(
@@ -151,33 +232,26 @@ def main() -> None:
     materials = list(MaterialCache(library, library.names).filled())
     samples = [read_cornell(path) for path in sorted(asked.folder.glob("*.brdf"))]
     samples += [read_germer(path) for path in sorted(asked.folder.glob("*.csv"))]
-    result: dict[str, object] = {}
+    result: dict[str, object] = {"draws": DRAWS}
     for sample in samples:
         rng = np.random.default_rng([0, *sample.name.encode()])
         scale = (1.0 + GAIN * rng.standard_normal()) * (1.0 + SCATTER * rng.standard_normal(sample.f.shape))
         noisy = replace(sample, f=sample.f * scale + OFFSET / np.pi * rng.standard_normal(sample.f.shape))
-        random = rng.choice(len(sample.f), READ, replace=False)
-        cases = {"instrument": (sample, like_instrument(sample)), "random": (sample, random)}
-        cases["noisy"] = noisy, cases["instrument"][1]
-        rows: dict[str, object] = {"bands": len(sample.nm), "pairs": len(sample.f)}
-        for case, (read, chosen) in cases.items():
-            others = np.setdiff1d(np.arange(len(sample.f)), chosen)
-            some, judged = sample.pairs[chosen], sample.pairs[others]
-            readings = Readings(sample.name, "measured", some.wi, some.wo, sample.nm, read.f[chosen])
-            completed = Completion.of(atoms, readings)
-            f = completed.brdf.eval(judged.wi, judged.wo)
-            exchanged = completed.brdf.eval(judged.wo, judged.wi)
-            methods = {"complete": errors(sample, others, f)}
-            methods["complete"]["not_reciprocal"] = float(
-                np.median(np.abs(f - exchanged) / np.maximum(f + exchanged, 1e-9))
-            )
-            if case != "noisy":
-                problem = Problem(some, read.f[chosen], Bands(sample.nm), judged, materials)
-                methods |= {
-                    name: errors(sample, others, complete(problem)) for name, complete in BASELINES.items()
-                }
-            rows[case] = methods
-            for name, of_method in methods.items():
+        near, geometries = like_instrument(sample)
+        drawn = [rng.choice(len(sample.f), READ, replace=False) for _ in range(DRAWS)]
+        rows: dict[str, Any] = {
+            "bands": len(sample.nm),
+            "pairs": len(sample.f),
+            "instrument_readings": len(near),
+            "geometries": geometries,
+            "apart_at_most_deg": max(each.get("apart_deg", 0.0) for each in geometries),
+            "least_from_mirror_deg": float(sample.from_mirror_deg[near].min()),
+            "instrument": all_methods(sample, near, atoms, materials),
+            "random": over_draws([all_methods(sample, some, atoms, materials) for some in drawn]),
+            "noisy": {"complete": completed(sample, noisy, near, atoms)},
+        }
+        for case in ("instrument", "random", "noisy"):
+            for name, of_method in rows[case].items():
                 print(sample.name, case, name, json.dumps(of_method), flush=True)
         result[sample.name] = rows
         if asked.json:

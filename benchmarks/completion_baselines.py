@@ -7,7 +7,7 @@ bands: every channel of every file is a sample, as Nielsen et al. take them.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +25,7 @@ from manifold.fit.fit_samples import FitSamples
 from manifold.fit.principled import fit_bsdf
 
 _EPSILON = 1e-3  # of the logarithm, in 1/sr, as Nielsen et al.
-_RIDGE = 40.0  # weight of the coefficients, as Nielsen et al.
+_RIDGES = np.geomspace(0.1, 1000.0, 17)  # weights of the coefficients; Nielsen et al. have 40 for MERL
 _STRIDE = 6  # one in so many pairs of the default grid has a part in the principal components
 _ROUGHNESS = np.geomspace(0.02, 1.0, 40)  # of the fitted lobe
 _REWEIGHTED = 8  # rounds of the fit of cube roots
@@ -40,36 +40,57 @@ class Problem:
     values: Array
     bands: Bands
     judged: Pairs
-    materials: list[BRDF]
+    materials: Sequence[BRDF]
 
     def samples(self, pairs: Pairs) -> Array:
         """Values of all bands of all materials, at least 0, shape (P, n)."""
         return np.maximum(np.hstack([values_at(material, pairs) for material in self.materials]), 0.0)
 
 
-def pca_ridge(problem: Problem) -> Array:
+def ridge_of_logarithms(samples: Sequence[Array], cosines: Sequence[Array], values: Array) -> Array:
     """Principal components of log-relative values, coefficients by ridge regression, band by band.
 
+    The weight of the coefficients has the least error of left-out readings, over all bands; Nielsen et al. chose it so
+    over MERL.
+
+    Args:
+        samples: values of single bands of the library, (P, n): at the pairs of the components, of the readings, and
+            where f is predicted.
+        cosines: products of both cosines at these pairs, each (P,).
+        values: readings (R, B), in 1/sr.
+    Returns:
+        f in 1/sr, (P, B).
     Source: Nielsen, Jensen & Ramamoorthi 2015, eq. 2 to 6: ln((f w + e) / (m w + e)), m the median of the samples.
     """
 
-    def mapped(f: Array, pairs: Pairs) -> Array:
-        return np.log(f * np.maximum(pairs.cosines, 1e-3)[:, None] + _EPSILON)
+    def mapped(f: Array, weight: Array) -> Array:
+        return np.log(f * np.maximum(weight, 1e-3)[:, None] + _EPSILON)
 
-    places = [RusinkiewiczGrid.named("default").pairs(_STRIDE), problem.read, problem.judged]
-    samples = [problem.samples(pairs) for pairs in places]
-    medians = [np.median(f, axis=1, keepdims=True) for f in samples]
-    reference = [mapped(median, pairs) for median, pairs in zip(medians, places, strict=True)]
-    logs = [mapped(f, pairs) - m for f, pairs, m in zip(samples, places, reference, strict=True)]
-    means = [values.mean(axis=1, keepdims=True) for values in logs]
+    reference = [
+        mapped(np.median(f, axis=1, keepdims=True), weight)
+        for f, weight in zip(samples, cosines, strict=True)
+    ]
+    logs = [mapped(f, weight) - m for f, weight, m in zip(samples, cosines, reference, strict=True)]
+    means = [each.mean(axis=1, keepdims=True) for each in logs]
     of_grid = logs[0] - means[0]
     _, vectors = np.linalg.eigh(of_grid.T @ of_grid)
     vectors = vectors[:, 1:]  # centred samples span one dimension less
-    _, read, judged = [(values - mean) @ vectors for values, mean in zip(logs, means, strict=True)]
-    wrong = mapped(np.maximum(problem.values, 0.0), problem.read) - reference[1] - means[1]
-    coefficients = np.linalg.solve(read.T @ read + _RIDGE * np.eye(read.shape[1]), read.T @ wrong)
+    _, read, judged = [(each - mean) @ vectors for each, mean in zip(logs, means, strict=True)]
+    y = mapped(np.maximum(values, 0.0), cosines[1]) - reference[1] - means[1]
+    inner = read @ read.T
+    solved = [np.linalg.solve(inner + weight * np.eye(len(inner)), np.eye(len(inner))) for weight in _RIDGES]
+    # The residual of a left-out reading k is (A^-1 y)_k / (A^-1)_kk, A = X X^T + weight.
+    left_out = [np.sum((inverse @ y / np.diag(inverse)[:, None]) ** 2) for inverse in solved]
+    coefficients = read.T @ solved[int(np.argmin(left_out))] @ y
     f = np.exp(judged @ coefficients + means[2] + reference[2]) - _EPSILON
-    return np.maximum(f, 0.0) / np.maximum(problem.judged.cosines, 1e-3)[:, None]
+    return np.maximum(f, 0.0) / np.maximum(cosines[2], 1e-3)[:, None]
+
+
+def pca_ridge(problem: Problem) -> Array:
+    """Nielsen et al. 2015, with the weight by leave-one-out over the readings."""
+    places = [RusinkiewiczGrid.named("default").pairs(_STRIDE), problem.read, problem.judged]
+    samples, cosines = [problem.samples(pairs) for pairs in places], [pairs.cosines for pairs in places]
+    return ridge_of_logarithms(samples, cosines, problem.values)
 
 
 def nearest(problem: Problem) -> Array:
@@ -137,19 +158,31 @@ def principled(problem: Problem) -> Array:
     return fit_bsdf(samples).brdf.eval(problem.judged.wi, problem.judged.wo)
 
 
-def gaussian_process_of_one(read: Pairs, values: Array, judged: Pairs) -> Array:
+def half_vector_coordinates(pairs: Pairs) -> Array:
+    """Square roots of half-vector elevations, and difference angles, in radians, (P, 2)."""
+    half = half_vector(pairs.wi, pairs.wo)
+    cosines = half[:, 2], np.sum(pairs.wi * half, axis=1)
+    elevation, difference = (np.arccos(np.clip(c, -1.0, 1.0)) for c in cosines)
+    return np.stack([np.sqrt(elevation), difference], axis=1)
+
+
+def aspecular_coordinates(pairs: Pairs) -> Array:
+    """Aspecular angles, positive towards the normal, and incidences, in radians, (P, 2), in the plane of incidence."""
+    incidence = np.arctan2(-pairs.wi[:, 0], pairs.wi[:, 2])
+    return np.stack([incidence - np.arctan2(pairs.wo[:, 0], pairs.wo[:, 2]), incidence], axis=1)
+
+
+def gaussian_process_of_one(
+    read: Pairs,
+    values: Array,
+    judged: Pairs,
+    coordinates: Callable[[Pairs], Array] = half_vector_coordinates,
+) -> Array:
     """Return f (P, B) of a Gaussian process of the readings (R, B), without other materials.
 
-    Cube roots of f over square roots of half-vector elevations and over difference angles, with a squared
-    exponential whose length scales and noise maximise the likelihood: the idea of 10.1145/3806194 for few readings.
+    Cube roots of f over coordinates, with a squared exponential whose length scales and noise maximise the likelihood:
+    the idea of 10.1145/3806194 for few readings.
     """
-
-    def coordinates(pairs: Pairs) -> Array:
-        half = half_vector(pairs.wi, pairs.wo)
-        cosines = half[:, 2], np.sum(pairs.wi * half, axis=1)
-        elevation, difference = (np.arccos(np.clip(c, -1.0, 1.0)) for c in cosines)
-        return np.stack([np.sqrt(elevation), difference], axis=1)
-
     kernel = ConstantKernel(1.0, (1e-2, 1e2)) * RBF([0.4, 0.6], (0.1, 5.0)) + WhiteKernel(1e-3, (1e-6, 1e-1))
     process = GaussianProcessRegressor(kernel, normalize_y=True, n_restarts_optimizer=2, random_state=0)
     with warnings.catch_warnings():

@@ -100,9 +100,10 @@ def _file_of(name: str) -> Path | None:
 
 
 HELD_OUT = (
-    "nearest", "published", "pca_6_cube_root", "gplvm_2", "gplvm_6",
+    "nearest", "nearest_by_balls", "published", "pca_6_cube_root", "pca_8_cube_root", "gplvm_2", "gplvm_6",
     "blend_2", "blend_3", "nonnegative",
 )  # fmt: skip
+BUILT_IN = ("nearest", "nearest_by_balls", "published", "blend_2", "nonnegative")
 CHARTED = (
     "nearest", "published", "blend_2", "nonnegative", "nonnegative_angles_2_2",
     "blend_2_angles_2_2",
@@ -122,6 +123,10 @@ RESULTS = {
     "published": Result("bench_published.py FILES"),
     "held_out": Result(
         "bench_nonnegative.py FILES --numbers 8 12 24 --anchors principled NEURAL --methods " + " ".join(HELD_OUT)
+    ),
+    "built_in_readings": Result("bench_readings.py built-in"),
+    "built_in_held_out": Result(
+        "bench_nonnegative.py built-in --anchors principled --methods " + " ".join(BUILT_IN)
     ),
     "chart": Result(
         "manifold chart --library LIBRARY -o CHART " + " ".join(f"--only {key}" for key in CHARTED),

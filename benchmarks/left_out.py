@@ -11,9 +11,13 @@ import numpy as np
 
 import manifold as mf
 from manifold.brdf.interface import BRDF
+from manifold.brdf.measured import values_at
 from manifold.core.directions import to_spherical
+from manifold.core.metrics import Errors
+from manifold.core.pairs import RusinkiewiczGrid
 from manifold.core.records import Array
 from manifold.estimate import Completion, LibraryAtoms
+from manifold.estimate.expected import errors_of
 from manifold.formats import Readings, geometry_ma_t12
 from manifold.io_rgl import material_name
 
@@ -56,6 +60,18 @@ def write_ma_t12(path: Path, brdf: BRDF) -> Array:
         table.writerow(["theta_i (deg)", "phi_i (deg)", "theta_o (deg)", "phi_o (deg)", "R", "G", "B"])
         table.writerows(np.column_stack([*angles, read.values]).round(6).tolist())
     return read.values
+
+
+def errors_of_completion(atoms: LibraryAtoms, m: int, completion: Completion) -> Errors[float]:
+    """Return errors of a completion of material m in the bands of the atoms.
+
+    Cube-root and linear errors are those at all 45 x 23 x 12 pairs of the default grid, not at one in six as in
+    calibrations.
+    """
+    pairs = RusinkiewiczGrid.named("default").pairs()
+    f, f_star = values_at(atoms.materials[m], pairs), completion.brdf.eval(pairs.wi, pairs.wo)
+    look = errors_of(atoms, m, completion.on_grid, completion.on_ball)
+    return look | Errors.of_values(np.maximum(f, 0.0), f_star, pairs.cosines)
 
 
 def complete(atoms: LibraryAtoms, brdf: BRDF, name: str) -> BRDF:

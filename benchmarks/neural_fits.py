@@ -85,9 +85,12 @@ class NeuralBRDF(AnalyticBRDF):
 
 
 def read_neural_fits(path: Path | str) -> dict[str, NeuralBRDF]:
-    """All networks in a folder, a zip file or an `.h5` file, by the material's name."""
-    found = {}
-    for archive, stem, data in _files(Path(path)):
+    """All networks in a folder, a zip file or an `.h5` file, by the material's name.
+
+    If several have a name, it is that of the fit to the RGL file; others add the name of their archive.
+    """
+    found: dict[str, NeuralBRDF] = {}
+    for archive, stem, data in sorted(_files(Path(path)), key=lambda file: not file[1].endswith("_rgb")):
         name = stem.removesuffix("_rgb")
         if name in found:
             name = f"{name}_{archive.stem.removesuffix('_nbrdf')}"

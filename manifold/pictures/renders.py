@@ -73,7 +73,7 @@ class Rendered(Result):
     @property
     def rows(self) -> dict[str, object]:
         """Return the rows of the table, by label; those of the prediction come last."""
-        return super().rows | ({} if self.prediction is None else self.prediction.rows)
+        return super().rows | ({} if self.prediction is None else self.prediction.summary)
 
 
 def settings_key(settings: RenderSettings) -> dict[str, Any]:

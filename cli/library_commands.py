@@ -408,7 +408,10 @@ def _show_found(results: terminal.Results, found: Sequence[Found]) -> None:
     heads = [f"CIEDE2000 ({found[0].light})"] if found and found[0].light else []
     has_distance = any(one.distance != one.ciede2000 for one in found)
     results.table(
-        ["material", *["distance"] * has_distance, "L* (45/0, D65/2)", "a*", "b*", *heads, *(f"gloss {a:g}" for a in angles)],
+        [
+            "material", *["distance"] * has_distance, "L* (45/0, D65/2)", "a*", "b*", *heads,
+            *(f"gloss {a:g}" for a in angles),
+        ],
         [
             (
                 one.name, *[f"{one.distance:.1f}"] * has_distance, *(f"{v:.1f}" for v in one.lab),

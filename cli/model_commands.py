@@ -394,7 +394,9 @@ def predict(
 def show_prediction(results: terminal.Results, prediction: DiagnosedPrediction) -> None:
     """Print the results of a prediction, and the next command."""
     assert prediction.path is not None
-    next_command = "manifold explore" if prediction.is_extrapolation else terminal.export_command(prediction.path)
+    next_command = (
+        "manifold explore" if prediction.is_extrapolation else terminal.export_command(prediction.path)
+    )
     rows = prediction.summary | {"next": next_command} | terminal.notes(prediction.diagnostics)
     results.rows(f"Predicted {prediction.path}", rows)
 

@@ -71,7 +71,7 @@ def derived(**how: Any) -> Callable[[_Getter], _Getter]:
 class Result:
     """Base of results: dataclasses whose fields carry `entry` and whose properties carry `derived`.
 
-    Entries keep the order of the class body; those of a subclass precede those of its base.
+    Entries keep the order of the class body; new ones of a subclass precede those of its base.
     """
 
     entries: ClassVar[dict[str, Entry]] = {}
@@ -79,7 +79,8 @@ class Result:
     def __init_subclass__(cls) -> None:
         """Collect the entries of the class body."""
         own = {name: shown for name, value in vars(cls).items() if (shown := _entry_of(value)) is not None}
-        cls.entries = own | {name: shown for name, shown in cls.entries.items() if name not in own}
+        new = {name: shown for name, shown in own.items() if name not in cls.entries}
+        cls.entries = new | cls.entries | own
 
     @property
     def rows(self) -> dict[str, object]:

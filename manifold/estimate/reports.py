@@ -56,12 +56,13 @@ def write_completion(path: Path, completed: Completed, sources: Sequence[Path] =
         *([] if completed.readings is None else _of_colours(completion)),
         gloss(brdf, completion.evidence.gloss),
         Section(
-            "Most probable mixtures, before they are adjusted to the observations",
-            heads=("mixture", "probability", "residual"),
+            "Most probable mixtures, before they are adjusted to the observations; the last column is the cube-root "
+            "difference of the ball from that of the mean mixture",
+            heads=("mixture", "probability", "residual", "ball from mean"),
             table=[
                 (
                     " + ".join(f"{weight:.2f} {name}" for name, weight in mixture.like), f"{mixture.probability:.2f}",
-                    f"{100 * mixture.misfit:.1f} %",
+                    f"{100 * mixture.misfit:.1f} %", f"{100 * mixture.difference:.0f} %",
                 )
                 for mixture in completion.alternatives
             ],

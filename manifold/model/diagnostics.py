@@ -15,8 +15,9 @@ from manifold.core.metrics import EXPECTED_BALL, Errors
 from manifold.core.names import percent
 from manifold.core.records import Array
 from manifold.core.results import Result, derived, entry
+from manifold.model.blending import widest_gap
 from manifold.model.colours import NEAREST, UNCHOSEN, ChosenColour, ColourChoice
-from manifold.model.expected_error import BELOW_TWICE, COARSE_BELOW, NOT_CALIBRATED, widest_gap
+from manifold.model.expected_error import BELOW_TWICE, COARSE_BELOW, NOT_CALIBRATED
 from manifold.model.gplvm_space import GplvmSpace
 
 if TYPE_CHECKING:

@@ -96,15 +96,15 @@ def demo(
         bool,
         typer.Option(
             "--all",
-            help="Also draw the map as balls and a walk, and run the chart, failure modes and budgets: about seven "
-            "minutes on two cores.",
+            help="Also draw a second light, the fit, the map as balls and a walk, and run the chart, failure modes "
+            "and budgets: about seven minutes on two cores.",
         ),
     ] = False,
 ) -> None:
-    """Run all main steps on 51 built-in synthetic materials: import, embed, predict, render, evaluate, fit.
+    """Complete a measured material from 12 readings, then import, embed, evaluate, predict, render and fit.
 
-    Takes about a minute and a half on two cores. Each result is reported as soon as it is ready; FOLDER/index.html
-    shows all of them.
+    The second part uses 51 synthetic materials. Takes about a minute on two cores. Each result is reported as soon as
+    it is ready; FOLDER/index.html shows all of them.
     """
     from manifold.cli import demo
 

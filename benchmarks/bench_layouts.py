@@ -55,7 +55,9 @@ def measure(library: Library, latent_dim: int) -> dict[str, Any]:
     }
     materials = model.materials.with_negative_values()
     data = tabulate_materials(model, materials)
-    maps = coherences(model, data, MaterialTable(materials, data.bands), is_published_shown=latent_dim == 2)
+    maps, _ = coherences(
+        model, data, MaterialTable(materials, data.bands), is_published_shown=latent_dim == 2
+    )
     for title, c in maps.items():
         row[KEYS.get(title.split()[0], "pca")] = {
             "detour": [c.detour, c.detour_p90], "far_percent": round(100.0 * c.detour_far),

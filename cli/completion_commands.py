@@ -179,7 +179,7 @@ def complete(
                 )
             if report is not None:
                 reports.write_coat(report, coated)
-            photograph_commands.show_rows(results, f"Completed {target}", coated, coated.rows, report)
+            photograph_commands.show_completed(results, coated, report)
             if coated.suggested is not None:
                 _show_suggested(results, coated.suggested, "\nMeasure next", instrument)
             results.document(coated)
@@ -229,12 +229,9 @@ def complete(
             library, taken, target, correction=learned, picture=ball, count=suggest, instrument=instrument,
             options=written,
         )  # fmt: skip
-    source = ", ".join(path.name for path in readings) if readings else "a colour"
     if report is not None:
         reports.write_completion(report, made, readings or [])
-    photograph_commands.show_completion(
-        results, f"Completed {target}", made, {"from": source, **made.rows}, report
-    )
+    photograph_commands.show_completed(results, made, report, readings or ())
     if made.suggested is not None:
         _show_suggested(results, made.suggested, "\nMeasure next", instrument)
     results.document(made)

@@ -1,4 +1,4 @@
-"""The work behind `manifold demo`: all main steps on the built-in corpus, and the page that shows its results."""
+"""The work behind `manifold demo`: a measured material from 12 readings, then all main steps on a synthetic corpus."""
 
 from __future__ import annotations
 
@@ -11,35 +11,52 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
+import numpy as np
+
+from manifold import __version__
 from manifold.analytic import corpus
+from manifold.analytic.virtual_instruments import ma_t12_readings
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.illuminants import Illuminant
-from manifold.core import disk, progress
+from manifold.core import disk, progress, shipped
 from manifold.core.errors import LibraryError
-from manifold.core.judged_lights import BALL_COLUMN, LIGHTS
+from manifold.core.judged_lights import BALL, BALL_COLUMN, LIGHTS
 from manifold.core.names import percent
+from manifold.core.records import Array
+from manifold.estimate.completion import Completion
+from manifold.estimate.completions import atoms_of
+from manifold.estimate.expected import calibrate
 from manifold.estimate.predictions import predict
+from manifold.estimate.reports import studio_ball
 from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource
 from manifold.evaluate.report import Report, make_report
 from manifold.evaluate.report_text import format_report, lead
+from manifold.io_rgl import read_bsdf
 from manifold.library.identity import require_outside_libraries
 from manifold.library.importing import import_files
+from manifold.library.store import Library
+from manifold.model.coherence import Pair, typical_pair
+from manifold.model.comparison import brdf_errors
 from manifold.model.diagnostics import DiagnosedPrediction
 from manifold.model.embedding import embed
 from manifold.model.manifold import Manifold
+from manifold.model.output_file import COMPLETION_OPTIONS, write_output
 from manifold.model.places import on_line
 from manifold.model.settings import BlendSettings
 from manifold.page.explore import write_page
-from manifold.pictures import figures, map_figure, maps, renders
+from manifold.pictures import ball_figures, figures, map_figure, maps, renders
 from manifold.pictures.maps import slices, sources
+from manifold.pictures.slice_figures import Source
 from manifold.registries import EXAMPLES
 from manifold.render import backend
 from manifold.render.render import RenderSettings
 
 ILLUMINANTS = ("D65", "F11")
-"""Illuminants under which the demo renders its prediction: daylight, and a fluorescent lamp."""
+"""Illuminants under which the demo renders its prediction: daylight, and with `--all` a fluorescent lamp."""
 
-START, END = "syn_satin_gold", "syn_metallic_gold"
-"""The materials whose latents the demo predicts between."""
+ALONE = 0.98
+"""Least share of the weights halfway between two materials for the demo to predict there: a value between their cube
+roots then changes by about 6 % at most, and no third material is seen."""
 
 CHARTED = (
     "nearest", "linear", "published", "pca_6_cube-root", "gplvm_2_cube-root", "gplvm_6_cube-root",
@@ -59,6 +76,10 @@ TRIED = (
 
 FIT = "predicted.fit.json"
 
+_CAPTIONS = (
+    "The completed material and the measured one, as balls in the studio",
+    "Values of both in the plane of incidence",
+)
 _NO_MITSUBA = "nothing is rendered, since Mitsuba is missing"
 _STYLE = """
 :root { color-scheme: light dark; font: 16px/1.5 system-ui, sans-serif; }
@@ -90,10 +111,40 @@ class Made:
 
 
 @dataclass(frozen=True)
+class CompletedMaterial:
+    """A measured material of the built-in library, completed from 12 simulated readings with the other materials.
+
+    Attributes:
+        true, expected: errors of the completion, CIEDE2000 of the ball.
+        left_out: true errors of all materials that are completed in this way, (N,).
+        pictures: of its ball and values beside the measured ones.
+    """
+
+    name: str
+    true: float
+    expected: float
+    left_out: Array
+    path: Path
+    pictures: tuple[Path, ...]
+
+    @property
+    def words(self) -> str:
+        """What it is and how far it is off."""
+        return (
+            f"{self.name}, a measured material, completed from 12 simulated readings of a multi-angle "
+            f"spectrophotometer with the other {len(self.left_out) - 1} materials of the built-in library: off by "
+            f"{self.true:.1f} {BALL}, expected {self.expected:.1f}. It is the material of median error: the "
+            f"{len(self.left_out)} materials, each left out in this way, are off by {np.median(self.left_out):.1f} in "
+            f"the median and {np.quantile(self.left_out, 0.9):.1f} at the 90th percentile."
+        )
+
+
+@dataclass(frozen=True)
 class DemoResult:
     """The results of a demo, in the order in which they were made, and omitted ones with the reason."""
 
     made: tuple[Made, ...]
+    completed: CompletedMaterial
     predicted: DiagnosedPrediction
     report: Report
     left_out: str | None
@@ -107,14 +158,17 @@ class DemoResult:
 def run(
     folder: Path, *, everything: bool = False, announce: Callable[[Made], object] = lambda made: None
 ) -> DemoResult:
-    """Make a corpus, a library, a model, a prediction, its renders, a report, a fit and a page (`index.html`).
+    """Complete a measured material, then make a corpus, a library, a model, a prediction and a page (`index.html`).
+
+    The prediction has renders and a fit, and the model a report.
 
     Measured materials, library and fit of an earlier demo in the folder are kept; all else is made anew. Without
     Mitsuba nothing is rendered.
 
     Args:
         folder: where everything goes; made if missing.
-        everything: also draw the map as balls and a walk, and run a chart, failure modes and budgets (minutes).
+        everything: also draw the second light, the fit, the map as balls and a walk, and run a chart, failure modes
+            and budgets (minutes).
         announce: called with every result when it exists.
     """
     require_outside_libraries(folder, into=True)
@@ -128,6 +182,9 @@ def run(
 
     files, library, model = folder / "corpus", folder / "library.zarr", folder / "model.h5"
     has_mitsuba = backend.is_available()
+    with progress.shown("Completing a measured material from 12 readings"):
+        completed = complete_measured(folder)
+    add(completed.words, *completed.pictures, completed.path)
     with progress.shown("Measuring the synthetic corpus"):
         written = corpus.write(files, keep=True)
     add(
@@ -142,7 +199,15 @@ def run(
     add("Library of these materials (a Zarr store)", library, look=f"manifold info {library}")
     embed(library, model, BlendSettings())
     fitted = Manifold.load(model)
-    between = on_line(fitted.latent(START), fitted.latent(END), 0.75)
+    with progress.shown("Evaluating the model"):
+        report = make_report(fitted, "default")
+    text, document = folder / "report.txt", folder / "report.json"
+    disk.write_text(text, format_report(report))
+    disk.write_text(document, json.dumps(report.to_json(), indent=2, allow_nan=False) + "\n")
+    add(f"Evaluation. {lead(report)}", text, document)
+    pair = pair_to_show(fitted, report.pairs)
+    ends = [fitted.names[k] for k in (pair.first, pair.second)]
+    between = on_line(fitted.X[pair.first], fitted.X[pair.second], 0.5)
     map_file = folder / "map.png"
     figures.save(map_figure.latent_map(fitted, marked=between), map_file)
     add(f"Map of {fitted.settings.latent_dim} dimensions, fitted to the library", map_file, model)
@@ -151,36 +216,32 @@ def run(
     with progress.shown("Predicting a material between two"):
         predicted = predict(fitted, latent, path)
     add(
-        f"Predicted BRDF, never measured, at latent {latent} between two golds",
+        f"Predicted BRDF, never measured, at latent {latent}, halfway between two similar materials, {ends[0]} and "
+        f"{ends[1]}",
         path,
         look=f"manifold info {path}",
     )
-    golds: list[MaterialSource] = [*(LibrarySource(library, name) for name in (START, END)), FileSource(path)]
-    slices(sources(golds), folder / "slices.png")
+    drawn: list[MaterialSource] = [*(LibrarySource(library, name) for name in ends), FileSource(path)]
+    slices(sources(drawn), folder / "slices.png")
     add(
-        "Values of the two golds and of the prediction, in the plane of incidence",
+        "Values of the two materials and of the prediction between them, in the plane of incidence",
         folder / "slices.png",
     )
     if has_mitsuba:
-        for name in ILLUMINANTS:
+        for name in ILLUMINANTS if everything else ILLUMINANTS[:1]:
             picture = folder / f"predicted_{name}.png"
             with progress.shown(f"Rendering the prediction under {name}"):
                 renders.render(FileSource(path), picture, _render_settings(name))
             add(f"The prediction, rendered spectrally under {name}", picture)
-    with progress.shown("Evaluating the model"):
-        report = make_report(fitted, "default")
-    text, document = folder / "report.txt", folder / "report.json"
-    disk.write_text(text, format_report(report))
-    disk.write_text(document, json.dumps(report.to_json(), indent=2, allow_nan=False) + "\n")
-    add(f"Evaluation. {lead(report)}", text, document)
-    _fit(folder, path, has_mitsuba)
+    is_fit_drawn = has_mitsuba and everything
+    _fit(folder, path, is_fit_drawn)
     add(
         "Parameters of Mitsuba's principled BSDF, fitted to the prediction",
-        *([folder / "predicted.fit.png"] if has_mitsuba else []),
+        *([folder / "predicted.fit.png"] if is_fit_drawn else []),
         folder / FIT,
     )
     if everything:
-        _make_the_rest(folder, fitted, has_mitsuba, add)
+        _make_the_rest(folder, fitted, ends, has_mitsuba, add)
     with progress.shown("Writing the page"):
         write_page(model, folder / "explorer.html")
         add(
@@ -189,12 +250,53 @@ def run(
         )
         index = folder / "index.html"
         left_out = None if has_mitsuba else _NO_MITSUBA
-        disk.write_text(index, page(folder, made, predicted, report, left_out))
+        disk.write_text(index, page(folder, made, completed, predicted, report, left_out))
     add("Page with all results and the next commands", index)
-    return DemoResult(tuple(made), predicted, report, left_out)
+    return DemoResult(tuple(made), completed, predicted, report, left_out)
 
 
-def _make_the_rest(folder: Path, fitted: Manifold, has_mitsuba: bool, add: Callable[..., None]) -> None:
+def complete_measured(folder: Path) -> CompletedMaterial:
+    """Complete the built-in material of median error from simulated readings with the others; draw both."""
+    library = Library(shipped.BUILT_IN)
+    atoms = atoms_of(library)
+    measured = MeasuredBRDF(library.read(atoms.names[0]))
+    left_out = calibrate(atoms, ma_t12_readings(measured, ""), library).left_out.ball
+    chosen = int(np.argsort(left_out, kind="stable")[len(left_out) // 2])
+    name = atoms.names[chosen]
+    measured, others = MeasuredBRDF(library.read(name)), atoms.without(chosen)
+    made = Completion.of(others, [ma_t12_readings(measured, name)])
+    path = folder / f"{name}_completed_rgb.bsdf"
+    through = f"through {len(others.names)} materials by manifold {__version__}"
+    write_output(
+        path, made.brdf, COMPLETION_OPTIONS, description=f"Completed from 12 simulated readings {through}"
+    )
+    completed = MeasuredBRDF(read_bsdf(path))
+    found = CompletedMaterial(
+        name, brdf_errors(measured, completed).ball, calibrate(others, made.readings).expected(made).ball, left_out,
+        path, (folder / "completed.png", folder / "completed_slices.png"),
+    )  # fmt: skip
+    balls = [("completed from 12 readings", completed), ("measured", measured)]
+    title = f"{name}: off by {found.true:.1f} CIEDE2000 (mean of {LIGHTS}), expected {found.expected:.1f}"
+    images = [(label, studio_ball(brdf)) for label, brdf in balls]
+    figures.save(ball_figures.balls_beside(title, images), found.pictures[0])
+    slices([Source(label, brdf) for label, brdf in balls], found.pictures[1])
+    return found
+
+
+def pair_to_show(model: Manifold, pairs: Sequence[Pair]) -> Pair:
+    """Return the typical pair of those that no third material has a part in halfway on the map; else of all."""
+
+    def share(pair: Pair) -> float:
+        both = model.names[pair.first], model.names[pair.second]
+        middle = on_line(model.X[pair.first], model.X[pair.second], 0.5)
+        return sum(weight for name, weight in model.largest_weights(middle, 3) if name in both)
+
+    return typical_pair([pair for pair in pairs if share(pair) >= ALONE] or pairs)
+
+
+def _make_the_rest(
+    folder: Path, fitted: Manifold, between: Sequence[str], has_mitsuba: bool, add: Callable[..., None]
+) -> None:
     """Make what `manifold demo --all` adds: balls on the map, a walk, budgets, a chart, failure modes."""
     from manifold.study import chart_figure
     from manifold.study.budget import budgets
@@ -214,10 +316,10 @@ def _make_the_rest(folder: Path, fitted: Manifold, has_mitsuba: bool, add: Calla
         )
         picture = folder / "walk.png"
         with progress.shown("Drawing the walk"):
-            ends = [LibrarySource(folder / "library.zarr", name) for name in (START, END)]
+            ends = [LibrarySource(folder / "library.zarr", name) for name in between]
             maps.walk(folder / "model.h5", ends[0], ends[1], picture)
         add(
-            "Walk from one gold to the other in steps of equal size, above predictions on the straight line",
+            "Walk from one of the two materials to the other, above predictions on the straight line of the map",
             picture,
         )
     if has_mitsuba:
@@ -242,14 +344,14 @@ def _render_settings(illuminant: str) -> RenderSettings:
     return RenderSettings(illuminant=Illuminant.named(illuminant))
 
 
-def _fit(folder: Path, predicted: Path, has_mitsuba: bool) -> None:
+def _fit(folder: Path, predicted: Path, is_drawn: bool) -> None:
     from manifold.fit import fits
     from manifold.fit.fits import FitSettings
     from manifold.pictures.fit_comparison import picture_of_fit
 
     with progress.shown("Fitting principled to the prediction"):
         fits.fit(predicted, folder / FIT, FitSettings())
-        if has_mitsuba:
+        if is_drawn:
             picture_of_fit(folder / FIT, predicted, folder / "predicted.fit.png")
 
 
@@ -258,19 +360,21 @@ def _pictures(made: Sequence[Made]) -> list[Path]:
 
 
 def page(
-    folder: Path, made: Sequence[Made], predicted: DiagnosedPrediction, report: Report, left_out: str | None
-) -> str:
-    """Return the HTML page of a demo: its results as links and pictures, the explorer, and the next commands."""
+    folder: Path, made: Sequence[Made], completed: CompletedMaterial, predicted: DiagnosedPrediction, report: Report,
+    left_out: str | None,
+) -> str:  # fmt: skip
+    """Return the HTML page of a demo: the completed material, the map, all results, and the next commands."""
     steps = [
         f"{escape(each.what)} ({', '.join(_link(path.name) for path in each.paths)})"
         for each in made
         if each.paths[0].suffix != ".txt"  # the report has a part of its own
     ] + [left_out] * (left_out is not None)
+    first = [_figure(path, caption) for path, caption in zip(completed.pictures, _CAPTIONS, strict=True)]
     shown = [
-        f'<figure><a href="{path.name}"><img src="{path.name}" alt="{escape(each.what)}" loading="lazy"></a>'
-        f"<figcaption>{escape(each.what)}</figcaption></figure>"
+        _figure(path, each.what)
         for each in made
         for path in _pictures([each])
+        if path not in completed.pictures
     ]
     numbers = "".join(
         f"<dt>{escape(n)}</dt><dd>{escape(meaning)}</dd>" for n, meaning in _numbers(predicted, report)
@@ -283,11 +387,13 @@ def page(
 <title>manifold demo</title>
 <style>{_STYLE}</style>
 <h1>manifold demo</h1>
-<h2>Explore the map</h2>
+<h2>A BRDF from 12 readings</h2>
+<p>{escape(completed.words)}</p>
+{"".join(first)}
+<h2>A map of {len(report.names)} materials</h2>
+<p>{escape(lead(report))} {_link("report.txt")} has all errors.</p>
 <p>Drag the point to see the material predicted there. <a href="explorer.html">Open in its own window</a></p>
 <iframe src="explorer.html" title="Interactive map of the materials" loading="lazy"></iframe>
-<h2>Errors</h2>
-<p>{escape(lead(report))} {_link("report.txt")} has all errors.</p>
 <dl>
 {numbers}
 </dl>
@@ -312,10 +418,11 @@ def _numbers(predicted: DiagnosedPrediction, report: Report) -> list[tuple[str, 
             f"The library holds them in {report.bands}; the map is fitted to all.",
         )
     ]
-    if predicted.expected is not None:
+    expected = predicted.expected_in_chosen_colour or predicted.expected
+    if expected is not None:
         numbers.append((
-            f"{float(predicted.expected.ball):.1f} {BALL_COLUMN}",
-            f"Expected error of the prediction, averaged over a ball and {LIGHTS}.",
+            f"{float(expected.ball):.1f} {BALL_COLUMN}",
+            f"Expected error of the prediction against a material of its colour, averaged over a ball and {LIGHTS}.",
         ))  # fmt: skip
     return [
         *numbers,
@@ -343,6 +450,13 @@ def _next_commands(folder: Path) -> str:
 {command} fetch -o rgl                           # measured materials: 51 files, 400 MB
 {command} import rgl --library rgl.zarr            # then embed --library rgl.zarr --output rgl.h5
 """
+
+
+def _figure(path: Path, caption: str) -> str:
+    return (
+        f'<figure><a href="{path.name}"><img src="{path.name}" alt="{escape(caption)}" loading="lazy"></a>'
+        f"<figcaption>{escape(caption)}</figcaption></figure>"
+    )
 
 
 def _link(name: str) -> str:

@@ -123,8 +123,7 @@ def fit(
             f"Fitted {outcome.path}" + " (up to date)" * outcome.was_there, _fit_rows(outcome.content)
         )
         for prediction in predictions:  # whose diagnostics are notes of the fit
-            rows = {name: row for name, row in prediction.rows.items() if name != "diagnostics"}
-            results.rows("Fitted to a prediction", rows)
+            results.rows("Fitted to a prediction", prediction.summary)
         if picture:
             _draw(results, outcome, source)
     failed = [] if outcome.failure is None else [f"{outcome.name}: {outcome.failure}"]

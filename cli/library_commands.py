@@ -350,7 +350,7 @@ def find(
 
     The distance from a BRDF is the CIEDE2000 of balls in {manifold.core.judged_lights.LIGHTS}; from readings, the
     CIEDE2000 at their geometries; from --lab, the CIEDE2000 at 45/0 under D65 and the 2 degree observer. A factor of
-    1.2 in gloss counts as a CIEDE2000 of 1.
+    1.2 in gloss counts as a CIEDE2000 of 1. With a colour and a gloss, the distance is the root of the sum of squares.
     """
     from manifold.estimate import attributes, coat, completions
     from manifold.formats.readings import Readings
@@ -406,11 +406,15 @@ def _sought(text: str, sample: str | None, model: Path, library: Path) -> BRDF |
 def _show_found(results: terminal.Results, found: Sequence[Found]) -> None:
     angles = list(found[0].gloss) if found else []
     heads = [f"CIEDE2000 ({found[0].light})"] if found and found[0].light else []
+    has_distance = any(one.distance != one.ciede2000 for one in found)
     results.table(
-        ["material", "L* (45/0, D65/2)", "a*", "b*", *heads, *(f"gloss {a:g}" for a in angles)],
+        [
+            "material", *["distance"] * has_distance, "L* (45/0, D65/2)", "a*", "b*", *heads,
+            *(f"gloss {a:g}" for a in angles),
+        ],
         [
             (
-                one.name, *(f"{v:.1f}" for v in one.lab),
+                one.name, *[f"{one.distance:.1f}"] * has_distance, *(f"{v:.1f}" for v in one.lab),
                 *([] if one.ciede2000 is None else [f"{one.ciede2000:.1f}"]),
                 *(f"{one.gloss[a]:.3g}" for a in angles),
             )

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 
 AUTO = "auto"
 _LEAST_TURN_DEG = 5.0  # smallest angle between orientations that is reported
-_SHOWN_WEIGHT = 0.005  # smallest weight that is printed, with two decimals
 
 
 Kind = Literal["blend", "gplvm"]
@@ -393,23 +392,12 @@ def predict(
 
 
 def show_prediction(results: terminal.Results, prediction: DiagnosedPrediction) -> None:
-    """Print the results of a prediction."""
-    rows: dict[str, object] = {"latent": ",".join(prediction.coordinates)}
-    if prediction.walk is not None:
-        rows = {"walk": prediction.walk}
-    if prediction.colour is not None:
-        rows["colour"] = prediction.colour
-    if prediction.weights:
-        shown = [pair for pair in prediction.weights if abs(pair[1]) >= _SHOWN_WEIGHT] or prediction.weights[
-            :1
-        ]
-        rows["largest weights"] = [f"{name} {weight:.2f}" for name, weight in shown]
-    rows |= {
-        "negative values": f"{percent(prediction.clipped_share, 2)}, zero in the file"
-        if prediction.clipped_share
-        else "none",
-        "time": f"{prediction.seconds:.2f} s after loading",
-    } | prediction.rows
+    """Print the results of a prediction, and the next command."""
+    assert prediction.path is not None
+    next_command = (
+        "manifold explore" if prediction.is_extrapolation else terminal.export_command(prediction.path)
+    )
+    rows = prediction.summary | {"next": next_command} | terminal.notes(prediction.diagnostics)
     results.rows(f"Predicted {prediction.path}", rows)
 
 

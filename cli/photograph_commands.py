@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,15 +17,13 @@ from .application import TAKEN, app
 from .outputs import checked, or_default
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from manifold.estimate.coat import Coated
-    from manifold.estimate.completions import Completed
+    from manifold.estimate.completions import Completed, Photographed
     from manifold.estimate.lamp_plan import Determined, LampPlan
     from manifold.estimate.sightings import PhotoRequest
     from manifold.model.output_file import OutputOptions
-
-_SHOWN_PROBABILITY = 0.005  # least probability of a mixture, which is printed with two decimals
 
 
 @dataclass(frozen=True)
@@ -293,49 +292,45 @@ def complete_photographs(
         )  # fmt: skip
     if report is not None:
         reports.write_completion(report, made, readings or ())
-    show_completion(results, f"Completed {target}", made, made.rows, report)
-    if isinstance(made, completions.Photographed) and made.plan is not None:
-        show_plan(results, made.plan, " in addition to these")
+    show_completed(results, made, report)
+    if isinstance(made, completions.Photographed):
+        show_pictures(results, made)
+        if made.plan is not None:
+            show_plan(results, made.plan, " in addition to these")
     results.document(made)
 
 
-def show_completion(
+def show_completed(
     results: terminal.Results,
-    title: str,
-    completed: Completed,
-    rows: Mapping[str, object],
-    report: Path | None = None,
+    completed: Completed | Coated,
+    report: Path | None,
+    readings: Sequence[Path] = (),
 ) -> None:
-    """Print a completed material: its rows, and the mixtures that explain the observations."""
-    show_rows(results, title, completed, rows, report)
-    results.text(
-        "\nMost probable mixtures, before they are adjusted to the observations. The last column\n"
-        "is the cube-root difference of the ball from that of the mean mixture.\n"
-    )
+    """Print a completed material: its rows, its report, the next command and the first notes.
+
+    The next command exports it, or suggests more readings if it is not to be used.
+    """
+    rows = completed.summary | ({} if report is None else {"report": report})
+    assert completed.path is not None
+    rows["next"] = terminal.export_command(completed.path)
+    if readings and str(rows.get("advice", "")).startswith("do not"):
+        rows["next"] = f"manifold complete {shlex.join(map(str, readings))} --suggest 3"
+    results.rows(f"Completed {completed.path}", rows | terminal.notes(completed.diagnostics))
+
+
+def show_pictures(results: terminal.Results, made: Photographed) -> None:
+    """Print a row for each picture."""
+    results.text("\n")
     results.table(
-        ("mixture", "probability", "residual", "ball from mean"),
+        ("picture", "circle", "lamp", "residual", "predicted from the others"),
         [
             (
-                " + ".join(f"{weight:.2f} {name}" for name, weight in a.like), f"{a.probability:.2f}",
-                f"{100 * a.misfit:.1f} %", f"{100 * a.difference:.0f} %",
+                ball.photograph.path.name, str(ball.circle), " ".join(map(str, ball.lamps)) or "-",
+                f"{100 * residual:.1f} %", "-" if predicted is None else f"{100 * predicted:.1f} %",
             )
-            for a in completed.alternatives
-            if a.probability >= _SHOWN_PROBABILITY
+            for ball, residual, predicted in made.balls_with_residuals
         ],
     )  # fmt: skip
-
-
-def show_rows(
-    results: terminal.Results,
-    title: str,
-    completed: Completed | Coated,
-    rows: Mapping[str, object],
-    report: Path | None = None,
-) -> None:
-    """Print the rows of a result, its report and time, and its notes."""
-    shown = dict(rows) | ({} if report is None else {"report": report})
-    shown["time"] = f"{completed.seconds:.1f} s"
-    results.rows(title, shown | {f"note {k}": note for k, note in enumerate(completed.diagnostics, start=1)})
 
 
 def show_plan(results: terminal.Results, plan: LampPlan, beside: str) -> None:

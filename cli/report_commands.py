@@ -58,14 +58,21 @@ def report(
     picture: Annotated[
         bool, typer.Option("--picture", help="Also draw the map of the latents, into the model's name, .png.")
     ] = False,
+    full: Annotated[
+        bool,
+        typer.Option(
+            "--full",
+            help="Also print errors by light and colour, plausibility, times, and each material's errors.",
+        ),
+    ] = False,
     workers: OneWorkerOptions = ONE,
 ) -> None:
-    """Evaluate a model: reconstruction, leave-one-out against baselines, plausibility, times.
+    """Evaluate a model: errors of left-out materials, beside those of simpler methods, and expected errors.
 
     --workers and --scheduler distribute the leave-one-out fits.
     """
     from manifold.evaluate.report import make_report
-    from manifold.evaluate.report_text import format_report
+    from manifold.evaluate.report_text import format_report, format_summary
 
     results = terminal.Results(json)
     with progress.shown("Evaluating"), workers.executor() as executor:
@@ -73,7 +80,7 @@ def report(
             model, grid, library=library, compare=compare, all_bands=all_bands, principled=principled,
             picture=checked(Path(f"{model.stem}.png"), "picture") if picture else None, workers=executor,
         )  # fmt: skip
-    results.text(format_report(made))
+    results.text(format_report(made) if full else format_summary(made))
     results.document(made)
 
 
@@ -89,15 +96,15 @@ def demo(
         bool,
         typer.Option(
             "--all",
-            help="Also draw the map as balls and a walk, and run the chart, failure modes and budgets: about seven "
-            "minutes on two cores.",
+            help="Also draw a second light, the fit, the map as balls and a walk, and run the chart, failure modes "
+            "and budgets: about seven minutes on two cores.",
         ),
     ] = False,
 ) -> None:
-    """Run all main steps on 51 built-in synthetic materials: import, embed, predict, render, evaluate, fit.
+    """Complete a measured material from 12 readings, then import, embed, evaluate, predict, render and fit.
 
-    Takes about a minute and a half on two cores. Each result is reported as soon as it is ready; FOLDER/index.html
-    shows all of them.
+    The second part uses 51 synthetic materials. Takes about a minute on two cores. Each result is reported as soon as
+    it is ready; FOLDER/index.html shows all of them.
     """
     from manifold.cli import demo
 

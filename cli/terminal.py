@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 import textwrap
 import threading
@@ -29,6 +30,7 @@ _SILENT_SECONDS = 10.0  # while a command works and stderr is no terminal
 _QUICK_SECONDS = 1.0  # work that is done by then needs no line
 _last_line = time.monotonic()
 
+_MOST_NOTES = 3  # of a result
 _WIDTH = 80  # columns that sentences and lists are broken to; a line with a single long word may be longer
 
 
@@ -183,6 +185,19 @@ def parameter_rows(parameters: Mapping[str, Any]) -> dict[str, object]:
 def numbered(label: str, values: Sequence[object]) -> dict[str, object]:
     """Return rows of `Results.rows` for several values of one label: the second is labelled `label 2`."""
     return {label if k == 1 else f"{label} {k}": value for k, value in enumerate(values, start=1)}
+
+
+def notes(sentences: Sequence[str]) -> dict[str, object]:
+    """Return rows of `Results.rows` for the first notes on a result, and for the number of the others."""
+    different = list(dict.fromkeys(sentences))
+    left = len(different) - _MOST_NOTES
+    others = {"more notes": f"{left} (--json lists them)"} if left > 0 else {}
+    return numbered("note", different[:_MOST_NOTES]) | others
+
+
+def export_command(path: Path) -> str:
+    """Return the command that exports a material for engines."""
+    return f"manifold export {shlex.quote(str(path))} -o {shlex.quote(str(path.with_suffix('.glb')))}"
 
 
 def note_built_in(*, is_default: bool) -> None:

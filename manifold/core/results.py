@@ -29,6 +29,7 @@ class Entry:
         unit: of the value, which follows its format.
         columns: of the table of a batch, by title: keys that lead from the value in JSON to the cell, or a function of
             the JSON of the result.
+        is_detail: whether only reports have the row, and not the terminal.
         json: whether JSON holds the value, by the name of the field; or a function of the result in place of the value.
     """
 
@@ -36,6 +37,7 @@ class Entry:
     words: str | Callable[[Any], object] | None = None
     unit: str = ""
     columns: Mapping[str, tuple[str | int, ...] | Column] = field(default_factory=dict)
+    is_detail: bool = False
     json: bool | Callable[[Any], object] = True
 
     def row_of(self, result: object, name: str) -> object:
@@ -69,7 +71,7 @@ def derived(**how: Any) -> Callable[[_Getter], _Getter]:
 class Result:
     """Base of results: dataclasses whose fields carry `entry` and whose properties carry `derived`.
 
-    Entries keep the order of the class body; those of a subclass precede those of its base.
+    Entries keep the order of the class body; new ones of a subclass precede those of its base.
     """
 
     entries: ClassVar[dict[str, Entry]] = {}
@@ -77,12 +79,21 @@ class Result:
     def __init_subclass__(cls) -> None:
         """Collect the entries of the class body."""
         own = {name: shown for name, value in vars(cls).items() if (shown := _entry_of(value)) is not None}
-        cls.entries = own | {name: shown for name, shown in cls.entries.items() if name not in own}
+        new = {name: shown for name, shown in own.items() if name not in cls.entries}
+        cls.entries = new | cls.entries | own
 
     @property
     def rows(self) -> dict[str, object]:
         """Return the rows of the table, by label: words, lists of words, and sentences as a tuple."""
-        rows = {shown.row: shown.row_of(self, name) for name, shown in self.entries.items() if shown.row}
+        return self._rows_of(self.entries)
+
+    @property
+    def summary(self) -> dict[str, object]:
+        """Return the rows without details."""
+        return self._rows_of({name: shown for name, shown in self.entries.items() if not shown.is_detail})
+
+    def _rows_of(self, entries: Mapping[str, Entry]) -> dict[str, object]:
+        rows = {shown.row: shown.row_of(self, name) for name, shown in entries.items() if shown.row}
         return {label: words for label, words in rows.items() if words is not None and words not in ((), [])}
 
     def to_json(self) -> dict[str, Any]:

@@ -465,9 +465,9 @@ class Completion:
             if misfit > _GLOSS_MISSED
         ]
         if self.evidence.pictures:
-            notes = [*self._notes_of_pictures(), *(() if read is None else read.notes), *of_gloss]
+            notes = [*of_gloss, *self._notes_of_pictures(), *(() if read is None else read.notes)]
         else:
-            notes = [*self.readings.notes, *self._unread(), *of_gloss, *self._unexplained()]
+            notes = [*of_gloss, *self._unexplained(), *self._unread(), *self.readings.notes]
         return tuple(notes)
 
     def _unread(self) -> list[str]:

@@ -20,7 +20,7 @@ from manifold.core.directions import from_spherical
 from manifold.core.errors import UsageError
 from manifold.core.judged_lights import BALL
 from manifold.core.metrics import EXPECTED_COLUMNS, Errors
-from manifold.core.names import counted, percent
+from manifold.core.names import counted, first_few, percent
 from manifold.core.progress import Stages
 from manifold.core.records import Array
 from manifold.core.results import Result, derived, entry
@@ -172,7 +172,8 @@ class Completed(Result):
 
     @property
     @derived(
-        row="combination of", words=lambda result: [f"{name} {weight:.2f}" for name, weight in result.made_of.items()]
+        row="combination of", words=lambda result: [f"{name} {weight:.2f}" for name, weight in result.made_of.items()],
+        is_detail=True,
     )  # fmt: skip
     def made_of(self) -> dict[str, float]:
         """Weights of materials, or from photographs shares of the light that the ball sends, by name."""
@@ -191,7 +192,7 @@ class Completed(Result):
         return uncertainty(self.completion)
 
     @property
-    @derived(row="change of the ball", words=lambda result: result.contributions_in_words())
+    @derived(row="change of the ball", words=lambda result: result.contributions_in_words(), is_detail=True)
     def contributions(self) -> dict[str, float]:
         """CIEDE2000 by which the ball changes without an observation, by its name, see `Completion.contributions`."""
         return self.completion.contributions
@@ -202,7 +203,7 @@ class Completed(Result):
         return f"{', '.join(parts)} {BALL}" if parts else None
 
     plausibility: Plausibility | None = field(
-        default=None, metadata=entry(row="albedo", words="at most {.max_albedo:.2f}")
+        default=None, metadata=entry(row="albedo", words="at most {.max_albedo:.2f}", is_detail=True)
     )
     next_readings: Suggested | None = None
     count: int = 0
@@ -275,6 +276,7 @@ class Photographed(Completed):
     @property
     @derived(
         row="photographs",
+        is_detail=True,
         words=lambda result: [
             f"{ball.photograph.path.name}, ball at {ball.circle}"
             + "".join(f", lamp {lamp}" for lamp in ball.lamps)
@@ -318,7 +320,8 @@ class Photographed(Completed):
 
     @property
     @derived(
-        row="exposure", words=lambda result: list(dict.fromkeys(f"{each:.3g}" for each in result.exposures))
+        row="exposure", words=lambda result: list(dict.fromkeys(f"{each:.3g}" for each in result.exposures)),
+        is_detail=True,
     )  # fmt: skip
     def exposures(self) -> Array:
         """Exposures of the pictures."""
@@ -348,7 +351,7 @@ class Photographed(Completed):
         return words + [of_readings + predicted for of_readings in super().residuals_in_words()]
 
     @property
-    @derived(row="change of the ball", words=lambda result: result.contributions_in_words())
+    @derived(row="change of the ball", words=lambda result: result.contributions_in_words(), is_detail=True)
     def contributions(self) -> dict[str, float]:
         """CIEDE2000 by which the ball changes without an observation, by its name or that of the picture."""
         names = {f"picture {k}": ball.photograph.path.name for k, ball in enumerate(self.balls, start=1)}
@@ -386,14 +389,32 @@ def observe(
 
 
 def notes_of(completion: Completion, calibration: Calibration, balls: Sequence[SeenBall]) -> tuple[str, ...]:
-    """Return sentences on the observations, on their agreement, and on the residual beside those of the library."""
+    """Return sentences on contradictions, on what the observations leave open, and on assumptions about pictures."""
+    of_some, of_all = _of_balls(balls)
     notes = (
-        *(note for ball in balls for note in ball.notes),
-        *completion.notes,
         *odd_pictures([ball.photograph.path.name for ball in balls], completion.picture_errors),
         *calibration.notes(completion),
+        *of_some,
+        *completion.notes,
+        *of_all,
     )
     return tuple(dict.fromkeys(notes))
+
+
+def _of_balls(balls: Sequence[SeenBall]) -> tuple[list[str], list[str]]:
+    """Return notes on some of the pictures, and those on all; each names its pictures if it began with a name."""
+    named: dict[str, list[str]] = {}
+    for ball in balls:
+        beginning = f"{ball.photograph.path.name}: "
+        for note in dict.fromkeys(ball.notes):
+            rest = note.removeprefix(beginning)
+            named.setdefault(rest, []).append(ball.photograph.path.name if rest != note else "")
+    of_some, of_all = list[str](), list[str]()
+    for note, names in named.items():
+        (of_all if len(names) == len(balls) else of_some).append(
+            f"{first_few(names)}: {note}" if all(names) else note
+        )
+    return of_some, of_all
 
 
 def complete(
@@ -474,10 +495,13 @@ def complete(
         plan = plan_lamps(completion.atoms, count, [rows.pixels for rows in completion.solution.channels])
     if written.file is not None:
         completion = completion.as_written(MeasuredBRDF(written.file))
-    notes = notes_of(completion, calibration, balls)
-    if balls and written.projection:
-        notes += ("the residual of pixels is that of the material before it was made physical",)
-    notes += written.notes + _of_unit(readings, written.plausibility)
+    notes = (
+        _of_unit(readings, written.plausibility)
+        + written.notes
+        + notes_of(completion, calibration, balls)
+        + ("the residual of pixels is that of the material before it was made physical",)
+        * bool(balls and written.projection)
+    )
     made: dict[str, Any] = {
         "path": output, "picture": picture, "completion": completion, "correction": correction,
         "expected": written.expected(expected), "plausibility": written.plausibility, "next_readings": next_readings,

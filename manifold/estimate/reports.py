@@ -56,12 +56,13 @@ def write_completion(path: Path, completed: Completed, sources: Sequence[Path] =
         *([] if completed.readings is None else _of_colours(completion)),
         gloss(brdf, completion.evidence.gloss),
         Section(
-            "Most probable mixtures, before they are adjusted to the observations",
-            heads=("mixture", "probability", "residual"),
+            "Most probable mixtures, before they are adjusted to the observations; the last column is the cube-root "
+            "difference of the ball from that of the mean mixture",
+            heads=("mixture", "probability", "residual", "ball from mean"),
             table=[
                 (
                     " + ".join(f"{weight:.2f} {name}" for name, weight in mixture.like), f"{mixture.probability:.2f}",
-                    f"{100 * mixture.misfit:.1f} %",
+                    f"{100 * mixture.misfit:.1f} %", f"{100 * mixture.difference:.0f} %",
                 )
                 for mixture in completion.alternatives
             ],
@@ -123,11 +124,7 @@ def write_calibration(path: Path, calibrated: CalibratedInstrument) -> None:
 
 def balls(brdf: BRDF) -> Section:
     """Return the ball of a material in the studio and under a sun."""
-    if backend.is_available():
-        studio = images.tone_map(render_material(brdf, RenderSettings(size=_BALL)))
-    else:
-        image, inside = ball_image(brdf, _COARSE_BALL)
-        studio = np.where(inside[..., None], image, _BACKGROUND)
+    studio = studio_ball(brdf)
     sun, is_lit = sun_image(brdf, _BALL, _SUN_DEG)
     across = 2.0 * (np.arange(_BALL) + 0.5) / _BALL - 1.0
     beside = np.hypot(across, across[:, None])[..., None] > 1.0
@@ -138,6 +135,14 @@ def balls(brdf: BRDF) -> Section:
         for name, image in zip(names, shown, strict=True)
     ]
     return Section("Ball", pictures=pictures)
+
+
+def studio_ball(brdf: BRDF) -> Array:
+    """Return the ball of a material in the studio as display values (H, W, 3), rendered if Mitsuba is available."""
+    if backend.is_available():
+        return images.tone_map(render_material(brdf, RenderSettings(size=_BALL)))
+    image, inside = ball_image(brdf, _COARSE_BALL)
+    return np.where(inside[..., None], image, _BACKGROUND)
 
 
 def write_index(path: Path, made: Sequence[tuple[str, str, str, str]]) -> None:

@@ -18,17 +18,23 @@ from manifold.model.manifold import Manifold
 from manifold.model.materials import MaterialTable
 from manifold.registries import MAPPINGS
 
+THIS_MODEL = "this model"
+"""Title of the model that a report evaluates."""
+
 _PCA_MAPPING = "cube-root"
 
 
 def coherences(
     model: Manifold, data: Data, table: MaterialTable, *, is_published_shown: bool = True
-) -> dict[str, Coherence]:
-    """Return the coherence of a model and of other maps of its materials by title; none that has no detours.
+) -> tuple[dict[str, Coherence], list[Pair]]:
+    """Return the coherence of a model and of other maps of its materials by title, and the model's pairs.
+
+    Maps without detours are left out.
 
     The principal components are as many as the model's dimensions; the published GPLVM has two.
     """
-    found = {"this model": coherence_of(model.space, table, model.mapping)[0]}
+    of_model, pairs = coherence_of(model.space, table, model.mapping)
+    found = {THIS_MODEL: of_model}
     if is_published_shown:
         with warnings.catch_warnings():  # a fit to compare with: nobody uses its map
             warnings.simplefilter("ignore", IsolatedLatentsWarning)
@@ -36,7 +42,7 @@ def coherences(
     count = min(model.settings.latent_dim, data.n_materials - 1)
     title = f"{count} principal components, cube root"
     found[title] = measure_map(*_principal_components(data, count), table)[0]
-    return {title: measured for title, measured in found.items() if measured is not None}
+    return {title: measured for title, measured in found.items() if measured is not None}, pairs
 
 
 def measure_map(

@@ -46,7 +46,7 @@ from manifold.evaluate.seen_fits import seen_principled
 from manifold.gpr import IsolatedLatentsWarning
 from manifold.library.store import Library
 from manifold.model import gram
-from manifold.model.coherence import Coherence
+from manifold.model.coherence import Coherence, Pair
 from manifold.model.combination import Values
 from manifold.model.expected_error import Reliability
 from manifold.model.manifold import Manifold
@@ -110,6 +110,7 @@ class Report:
         methods: reconstruction first, then what was held out.
         expected_errors: how well the model knows its errors, `ball` and `cube_root`; None where it is not calibrated.
         coherence: of the model and of other maps of its materials, by title.
+        pairs: materials and the most similar ones, by their indices, with the detours of the model.
         left_out: titles of the methods that would have taken long.
         seconds: of the stages of the report, wall-clock.
     """
@@ -127,6 +128,7 @@ class Report:
     methods: tuple[MethodResult, ...]
     expected_errors: dict[str, Reliability] | None
     coherence: dict[str, Coherence]
+    pairs: list[Pair]
     left_out: tuple[str, ...]
     seconds: dict[str, float]
 
@@ -221,7 +223,7 @@ def make_report(
     reuse = grid_name == "default" and not all_bands
     blocks = data.blocks() if reuse else _measured_blocks(materials, bands, grid)
 
-    def evaluate_all() -> tuple[tuple[MethodResult, ...], dict[str, Coherence]]:
+    def evaluate_all() -> tuple[tuple[MethodResult, ...], dict[str, Coherence], list[Pair]]:
         predictions = [each.combinations for each in encoded]
         errors = measure_errors(predictions, bands, blocks)
         physical = plausibility_results(materials, data.bands, predictions)
@@ -232,9 +234,9 @@ def make_report(
             for each in zip(chosen, encoded, errors, physical, colours, strict=True)
         )
         is_published_shown = PUBLISHED in {method.key for method in chosen}
-        return results, coherences(model, data, table, is_published_shown=is_published_shown)
+        return results, *coherences(model, data, table, is_published_shown=is_published_shown)
 
-    (results, coherence), evaluate = wall_clock(evaluate_all)
+    (results, coherence, pairs), evaluate = wall_clock(evaluate_all)
     return Report(
         names=model.names,
         latents=tuple(tuple(float(v) for v in row) for row in model.X),
@@ -249,6 +251,7 @@ def make_report(
         methods=results,
         expected_errors=None if model.left_out is None else model.left_out.reliability(),
         coherence=coherence,
+        pairs=pairs,
         left_out=tuple(m.title for m in [*own, *others] if m not in chosen),
         seconds={"load": load, "tabulate": tabulate, "encode": encode, "evaluate": evaluate},
     )

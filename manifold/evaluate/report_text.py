@@ -10,6 +10,7 @@ import numpy as np
 from manifold.core.judged_lights import BALL, JUDGED, LIGHTS
 from manifold.core.names import counted, percent
 from manifold.core.text_tables import table_lines
+from manifold.evaluate.coherences import THIS_MODEL
 from manifold.evaluate.report import MethodResult, Report
 from manifold.model.coherence import FAR, NEIGHBOURS_COMPARED
 from manifold.model.expected_error import LEVEL, NOT_CALIBRATED
@@ -62,18 +63,18 @@ Columns = Sequence[tuple[str, Callable[[MethodResult], str]]]
 """Titles of columns, and the values of a method in them."""
 
 _ERRORS: Columns = (
-    ("linear", lambda m: _fixed(m.median.linear)),
-    ("p90", lambda m: _fixed(m.p90.linear)),
-    ("cube root", lambda m: _fixed(m.median.cube_root)),
-    ("p90", lambda m: _fixed(m.p90.cube_root)),
     ("CIEDE2000", lambda m: f"{m.median.ball:.2f}"),
     ("p90", lambda m: f"{m.p90.ball:.2f}"),
+    ("cube root", lambda m: _fixed(m.median.cube_root)),
+    ("p90", lambda m: _fixed(m.p90.cube_root)),
+    ("linear", lambda m: _fixed(m.median.linear)),
+    ("p90", lambda m: _fixed(m.p90.linear)),
 )
 _ERROR_NOTE = (
     "Medians and 90th percentiles (p90) over materials.",
+    f"CIEDE2000: of the ball, mean of the {LIGHTS}.",
+    "cube root: relative error of cube roots of cosine-weighted values, closer to perceived differences.",
     "linear: relative error of cosine-weighted values, dominated by highlights.",
-    "cube root: that of their cube roots, closer to perceived differences.",
-    f"CIEDE2000: of the ball, mean of the {LIGHTS} below.",
 )
 
 _LIGHTS: Columns = (
@@ -154,9 +155,9 @@ _EXPECTED_NOTE = (
 
 
 def lead(report: Report) -> str:
-    """Return sentences on the errors of left-out materials.
+    """Return sentences on the errors of left-out materials, and on places between similar ones.
 
-    They give the model's own error, that of baselines, and whether it is expected.
+    They give the model's own error, that of baselines, whether it is expected, and the detour.
     """
     by_key = {m.key: m for m in report.methods}
     own = next(by_key[key] for key in _OWN_METHODS if key in by_key)
@@ -168,12 +169,39 @@ def lead(report: Report) -> str:
         if not expected
         else f"For {percent(expected.below_twice)} of the materials the error is below twice the expected one."
     )
+    coherence = report.coherence.get(THIS_MODEL)
+    between = (
+        ""
+        if coherence is None
+        else f" Halfway between the most similar materials, the detour is {coherence.detour:.2f} in the median and "
+        f"{coherence.detour_p90:.2f} at the 90th percentile; at 1, a prediction lies between the two."
+    )
     return (
         f"Each material was left out and located from its own values on {how}. The prediction there "
         f"differs from the measurement by {own.median.ball:.1f} {BALL} in the median and {own.p90.ball:.1f} at the "
         f"90th percentile. The most similar other material differs by {nearest.median.ball:.1f} in the median, a "
-        f"linear mix of the two nearest by {linear.median.ball:.1f}. {last}"
+        f"linear mix of the two nearest by {linear.median.ball:.1f}. {last}{between}"
     )
+
+
+def format_summary(report: Report) -> str:
+    """Format the errors of left-out materials by all methods, and the expected errors, as plain text."""
+    methods = [m for m in _in_order(report.methods) if m.is_held_out]
+    lines = [*_opening(report), *_section(methods, _ERRORS, (*_legend(methods), *_ERROR_NOTE))]
+    lines += _expected_errors(report)
+    return (
+        "\n".join(
+            [
+                *lines,
+                "`manifold report --full` also prints lights, colours, plausibility, materials.",
+            ]
+        )
+        + "\n"
+    )
+
+
+def _opening(report: Report) -> list[str]:
+    return [*_heading(report), "", *textwrap.wrap(lead(report), _WIDTH, break_on_hyphens=False), ""]
 
 
 def format_report(report: Report) -> str:
@@ -186,10 +214,7 @@ def format_report(report: Report) -> str:
     )
     calibrated = [m for m in methods if m.rms_standardised_error is not None]  # blends have no variance
     lines = [
-        *_heading(report),
-        "",
-        *textwrap.wrap(lead(report), _WIDTH, break_on_hyphens=False),
-        "",
+        *_opening(report),
         *_section(methods, _ERRORS, (*_legend(methods), *_ERROR_NOTE)),
         *_section(methods, _LIGHTS, _LIGHTS_NOTE),
         *_section(methods, _PLAUSIBILITY, (*_PLAUSIBILITY_NOTE, *_uncertainty(report))),

@@ -15,6 +15,7 @@ from manifold.core.metrics import EXPECTED_BALL, Errors
 from manifold.core.names import percent
 from manifold.core.records import Array
 from manifold.core.results import Result, derived, entry
+from manifold.model.blending import widest_gap
 from manifold.model.colours import NEAREST, UNCHOSEN, ChosenColour, ColourChoice
 from manifold.model.expected_error import BELOW_TWICE, COARSE_BELOW, NOT_CALIBRATED
 from manifold.model.gplvm_space import GplvmSpace
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 AT_A_MATERIAL = "none, because a measured material lies there"
 """Words for the expected error at a material."""
 
+_SHOWN_WEIGHT = 0.005  # smallest weight that is printed, with two decimals
 MOST_NEGATIVE = 0.005  # share of values, above which a prediction is diagnosed; one in a hundred is seen
 MOST_ALBEDO = 1.05  # measured materials reach a little above 1 too
 MOST_NON_RECIPROCAL = 0.5  # relative; measured materials reach 0.3, mirrors more
@@ -50,12 +52,12 @@ class DiagnosedPrediction(Result):
             its two materials make.
         nearest: the three nearest materials with their distances; none of a step of a walk.
         materials: number of materials of the model, on whose left-out errors expected ones are based.
-        expected: of a material that has the place, and the colour if that is known; None where the model is not
+        expected: of an unknown material at the place, in the given colour if there is one; None where the model is not
             calibrated, and of a step of a walk.
         posterior: standard deviation of the Gaussian process there, with its unit; None for blends, and at a step of a
             walk.
-        expected_in_chosen_colour: what would be expected if the colour, which is blended from the surrounding
-            materials, were chosen; None where it is not blended.
+        expected_in_chosen_colour: the same if the colour, which is blended from the surrounding materials, were given;
+            None where it is not blended.
         is_extrapolation: whether the data do not support the place.
         plausibility: measured on the prediction, or on the file that was written.
         diagnostics: defects found, as sentences.
@@ -77,18 +79,44 @@ class DiagnosedPrediction(Result):
     weights: list[tuple[str, float]] = field(metadata=entry())
 
     @property
+    @derived(row="place", json=False)
+    def place_in_words(self) -> str:
+        """The place, and where the colour comes from."""
+        place = f"{self.walk}, a step of a walk" if self.walk is not None else ",".join(self.coordinates)
+        return place if self.colour is None else f"{place}; colour {self.colour}"
+
+    @property
     @derived(row="expected error", json=False)
     def expected_in_words(self) -> tuple[str | list[str], ...]:
-        """Expected errors, or why there are none."""
+        """Expected errors of the prediction in its colour, or why there are none."""
         if self.walk is not None:
             return ("none: a step of a walk has no place on the map",)
         if self.is_extrapolation:
-            return ("none: not supported by the data",)
-        return in_words(self.expected, self.materials, self.expected_in_chosen_colour)
+            return ("unknown: not supported by the data, see note",)
+        if self.expected_in_chosen_colour is None:
+            return in_words(self.expected, self.materials)
+        return in_words(self.expected_in_chosen_colour, self.materials, "of a material of this colour: ")
+
+    @property
+    @derived(row="unknown material", json=False)
+    def unknown_in_words(self) -> list[str]:
+        """The expected error of a material that is located there and whose colour is not given."""
+        if self.expected_in_chosen_colour is None or self.is_extrapolation or self.expected is None:
+            return []
+        first, *others = self.expected.words
+        return [f"located here, its colour not given: {first}", *others]
+
+    @property
+    @derived(row="made of", json=False)
+    def weights_in_words(self) -> list[str]:
+        """The materials with the largest weights."""
+        shown = [pair for pair in self.weights if abs(pair[1]) >= _SHOWN_WEIGHT] or self.weights[:1]
+        return [f"{name} {weight:.2f}" for name, weight in shown]
 
     nearest: list[tuple[str, float]] = field(
         metadata=entry(
             row="nearest",
+            is_detail=True,
             words=lambda result: [f"{name} ({distance:.2f})" for name, distance in result.nearest],
         )
     )
@@ -106,12 +134,16 @@ class DiagnosedPrediction(Result):
     is_extrapolation: bool = field(metadata=entry())
 
     @property
-    @derived(row="reciprocity error", words=lambda result: percent(result.reciprocity_error, 2), json=False)
+    @derived(
+        row="reciprocity error", words=lambda result: percent(result.reciprocity_error, 2), is_detail=True, json=False
+    )  # fmt: skip
     def reciprocity_error(self) -> float:
         """See `Plausibility`."""
         return self.plausibility.reciprocity_error
 
-    plausibility: Plausibility = field(metadata=entry(row="largest albedo", words="{.max_albedo:.3f}"))
+    plausibility: Plausibility = field(
+        metadata=entry(row="largest albedo", words="{.max_albedo:.3f}", is_detail=True)
+    )
     attributes: dict[str, Any] | None = field(default=None, metadata=entry())
     path: Path | None = field(default=None, metadata=entry())
     is_physical: bool = field(default=False, metadata=entry())
@@ -120,13 +152,14 @@ class DiagnosedPrediction(Result):
         default=None,
         metadata=entry(
             row="file",
+            is_detail=True,
             words=lambda result: (
                 f"differs from the prediction by at most {percent(result.mirror_difference, 1)} "
                 "within 5 degrees of mirror directions"
             ),
         ),
     )
-    diagnostics: tuple[str, ...] = field(metadata=entry(row="diagnostics"))
+    diagnostics: tuple[str, ...] = field(metadata=entry(row="diagnostics", is_detail=True))
     seconds: float = field(default=0.0, metadata=entry())
 
     def to_json(self) -> dict[str, Any]:
@@ -193,29 +226,24 @@ def diagnose(
 
 
 def _reason(model: Manifold, place: Place) -> str:
-    """Return the reason why the data do not support a place."""
-    away = f"the nearest material is {model.nearest(place)[0][1]:.1f} length scales away"
-    if model.left_out is None:
-        return away
-    ball = model.left_out.expected(place.latent).ball
-    return f"{away}, expected error {ball:.0f} {BALL} even if the colour is known"
+    """Return the reason why the data do not support a place: see `LeftOut.is_unsupported`."""
+    distance, left_out = model.nearest(place)[0][1], model.left_out
+    if left_out is None or distance > widest_gap(left_out.space.X):
+        return f"the nearest material is {distance:.1f} length scales away"
+    return f"left-out materials near it differ by about {left_out.expected(place.latent).ball:.0f} {BALL}"
 
 
-def in_words(
-    expected: Errors[Array] | None, materials: int, in_chosen_colour: Errors[Array] | None = None
-) -> tuple[str | list[str], ...]:
+def in_words(expected: Errors[Array] | None, materials: int, of: str = "") -> tuple[str | list[str], ...]:
     """Describe an expected error for a terminal, as lines, of a model of `materials` materials.
 
-    A prediction in blended colours adds the error in a chosen colour.
+    The first line begins with `of`.
     """
     if expected is None:
         return (f"unknown: {'; '.join(NOT_CALIBRATED)}",)
     if expected.ball < 0.05 and expected.cube_root < 0.005:  # both are printed as 0
         return (AT_A_MATERIAL,)
-    lines: list[str | list[str]] = [expected.words]
-    if in_chosen_colour is not None:
-        ball, cube_root = in_chosen_colour.ball, percent(in_chosen_colour.cube_root)
-        lines.append(f"with a chosen colour: {ball:.1f}, {cube_root} cube-root error")
+    first, *others = expected.words
+    lines: list[str | list[str]] = [[of + first, *others]]
     lines.append(f"{percent(BELOW_TWICE)} of the errors are below twice the expected")
     if materials < COARSE_BELOW:
         lines.append(f"uncertain by a factor of three: the model has only {materials} materials")

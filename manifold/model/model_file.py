@@ -205,7 +205,9 @@ def open_library(path: Path, stored: ModelRecord, library: Library | Path | str 
     if library is None:
         library = stored.library
         if not shipped.exists(library):
-            raise LibraryError(f"{path}: its library is not at {library}; say where it is now")
+            raise LibraryError(
+                f"{path}: its library is not at {library}; give its place by --library FOLDER, or library= in Python"
+            )
     if not isinstance(library, Library):
         library = Library(library)
     missing = sorted(set(stored.names) - set(library.names))

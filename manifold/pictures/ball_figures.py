@@ -145,6 +145,17 @@ def walk_strip(
     return figure
 
 
+def balls_beside(title: str, balls: Sequence[tuple[str, Array]]) -> Figure:
+    """Draw balls, (H, W, 3 or 4), side by side, each with its name below."""
+    figure = new_figure(3.2 * len(balls), 3.8)
+    figure.suptitle(title, fontsize=12)
+    grid = figure.subplots(1, len(balls), squeeze=False)
+    for axes, (name, image) in zip(grid[0], balls, strict=True):
+        _show(axes, image)
+        axes.set_xlabel(name, fontsize=11)
+    return figure
+
+
 def _show(axes: Axes, image: Array) -> None:
     axes.imshow(image, interpolation="antialiased")
     axes.set_xticks([])

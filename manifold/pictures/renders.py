@@ -72,8 +72,10 @@ class Rendered(Result):
 
     @property
     def rows(self) -> dict[str, object]:
-        """Return the rows of the table, by label; those of the prediction come last."""
-        return super().rows | ({} if self.prediction is None else self.prediction.rows)
+        """Return the rows of the table, by label; those of the prediction come last, with its diagnostics."""
+        made = self.prediction
+        of_prediction = {} if made is None else made.summary | {"diagnostics": made.diagnostics}
+        return super().rows | {label: words for label, words in of_prediction.items() if words}
 
 
 def settings_key(settings: RenderSettings) -> dict[str, Any]:

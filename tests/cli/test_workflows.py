@@ -20,6 +20,7 @@ from manifold.analytic import corpus
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.cli import demo as demo_module
 from manifold.cli.main import app
+from manifold.core import shipped
 from manifold.core.directions import from_spherical
 from manifold.estimate.predictions import predict
 from manifold.evaluate import make_report
@@ -30,10 +31,14 @@ from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.colours import ColourChoice
+from manifold.model.comparison import brdf_errors
 from manifold.model.embedding import embed
+from manifold.model.expected_error import coherence_of
 from manifold.model.manifold import Manifold
+from manifold.model.materials import MaterialTable
 from manifold.model.settings import BlendSettings
 from manifold.pictures import fit_comparison as comparison
+from manifold.pictures import slice_figures
 from manifold.render.images import read_image
 from manifold.render.render import RenderSettings
 from manifold.study.budget import budgets, example_scenes
@@ -98,7 +103,7 @@ def test_the_demo_runs_all_its_steps_on_materials_of_every_scene(tmp_path, monke
     monkeypatch.setattr(corpus, "isotropic_materials", lambda: some)
     made = demo_module.run(tmp_path, everything=True)
     assert all(path.stat().st_size > 0 for path in made.pictures)
-    assert len(made.pictures) == 12
+    assert len(made.pictures) == 14
     assert made.left_out is None
 
 
@@ -146,6 +151,44 @@ def test_the_demo_ends_in_a_page_whose_links_are_there(demo, folder):
         program, name, *_ = command.split()
         assert Path(program).exists()
         assert name in {each.name for each in app.registered_commands}
+
+
+def test_the_page_of_the_demo_begins_with_a_measured_material_and_its_errors(demo, folder):
+    text = html.unescape((folder / "index.html").read_text())
+    made = demo.completed
+    assert text.index(made.words) < text.index("completed.png") < text.index(lead(demo.report))
+    assert f"off by {made.true:.1f} CIEDE2000" in made.words
+    name, library = made.name, Library(shipped.BUILT_IN)
+    measured = MeasuredBRDF(library.read(name))
+    assert made.true == brdf_errors(measured, MeasuredBRDF(read_bsdf(made.path))).ball
+    assert (
+        0.5 < made.true / made.left_out[library.names.index(name)] < 2.0
+    )  # of a file, and of the values before
+    assert made.true < 2.0 * made.expected
+
+
+def test_halfway_between_the_pair_that_the_demo_shows_is_between_them():
+    """Of the built-in map: at each angle of its slices, and in its ball."""
+    model = Manifold.load(shipped.BUILT_IN)
+    materials = model.materials.filled()
+    _, pairs = coherence_of(
+        model.space, MaterialTable(materials, np.arange(model.bands.count)), model.mapping
+    )
+    pair = demo_module.pair_to_show(model, pairs)
+    assert (pair.second, pair.first) in {(other.first, other.second) for other in pairs}
+    made = model.predict(0.5 * (model.X[pair.first] + model.X[pair.second]))
+    ends = [materials[k] for k in (pair.first, pair.second)]
+    for incidence in np.deg2rad(slice_figures.INCIDENCES_DEG):
+        wo = from_spherical(np.deg2rad(np.linspace(-85.0, 85.0, 341)), 0.0)
+        wi = np.broadcast_to(from_spherical(incidence, np.pi), wo.shape)
+        values, predicted = np.stack([each.eval(wi, wo) for each in ends]), made.eval(wi, wo)
+        assert np.all(
+            predicted >= 0.94 * values.min(axis=0)
+        )  # the others' weights are at most 2 % of cube roots
+        assert np.all(predicted <= 1.06 * values.max(axis=0))
+    differences = [brdf_errors(end, made).ball for end in ends]
+    assert max(differences) < pair.difference
+    assert sum(differences) < 1.1 * pair.difference
 
 
 def test_a_predicted_file_opens_in_mitsuba_and_is_the_prediction(demo, folder, rng):

@@ -22,7 +22,7 @@ from manifold.evaluate.cross_validation import encode_all
 from manifold.evaluate.method_data import Data
 from manifold.evaluate.methods import standard_methods
 from manifold.evaluate.model_methods import model_methods, replaced_keys
-from manifold.evaluate.report_text import format_report, lead
+from manifold.evaluate.report_text import format_report, format_summary, lead
 from manifold.gp.encoding import encoding_pairs
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
@@ -299,11 +299,28 @@ def test_a_report_leads_with_the_models_own_error_for_left_out_materials(models,
         own.errors.ball, blend.left_out.errors.ball, rtol=0.05, atol=0.05
     )  # of fewer bands
     sentences = lead(made).split(". ")
-    assert len(sentences) == 4
+    assert len(sentences) == 5
+    own_map = made.coherence["this model"]
+    assert f"the detour is {own_map.detour:.2f} in the median" in sentences[4]
     assert f"{own.median.ball:.1f} CIEDE2000" in sentences[1]
     assert f"{nearest.median.ball:.1f}" in sentences[2]
     text = format_report(made)
     assert text.index("Each material was left out") < text.index("at its own latent")
+
+
+def test_a_summary_has_the_errors_of_left_out_materials_by_their_balls_first(made):
+    text = format_summary(made)
+    tables = [block for block in text.split("\n\n") if "\n---" in block]
+    errors = tables[0].splitlines()
+    assert errors[0].split()[:3] == ["method", "CIEDE2000", "p90"]
+    held_out = [m for m in made.methods if m.is_held_out]
+    assert len(errors) == 2 + len(held_out) < 2 + len(made.methods)
+    for m in held_out:
+        (row,) = (line for line in errors if line.startswith(f"{m.title}  "))
+        assert row.removeprefix(m.title).split()[0] == f"{m.median.ball:.2f}"
+    assert len(tables) == 1 + (made.expected_errors is not None)
+    assert "expected errors" in text.lower()
+    assert max(map(len, text.splitlines())) <= 80
 
 
 def test_legends_are_printed_only_for_methods_that_have_a_row(models, reports, monkeypatch):

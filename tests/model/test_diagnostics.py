@@ -49,11 +49,10 @@ def test_a_material_outside_the_manifold_is_diagnosed():
         assert f"error {error:.2f}, {ball} {BALL}: outside the manifold" in sentence
 
 
-def test_an_expected_error_in_blended_colours_has_a_line_for_a_chosen_colour():
-    own, chosen = Errors(ball=28.1, cube_root=0.39), Errors(ball=1.6, cube_root=0.04)
-    assert diagnostics.in_words(own, 20, chosen) == (
-        [f"28.1 {BALL}", "39 % cube-root error"],
-        "with a chosen colour: 1.6, 4 % cube-root error",
+def test_an_expected_error_in_words_names_what_it_is_of_and_how_sure_it_is():
+    own = Errors(ball=1.6, cube_root=0.04)
+    assert diagnostics.in_words(own, 20, "of a material of this colour: ") == (
+        [f"of a material of this colour: 1.6 {BALL}", "4 % cube-root error"],
         "90 % of the errors are below twice the expected",
     )
     assert (

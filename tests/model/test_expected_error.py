@@ -145,8 +145,12 @@ def test_far_from_small_errors_large_ones_are_expected(scattered):
 
 
 def test_a_place_that_is_not_supported_has_no_expected_error_in_words(model):
-    rows = predict_and_diagnose(model, model.X[0] + 50.0).rows
-    assert rows["expected error"] == ("none: not supported by the data",)
+    made = predict_and_diagnose(model, model.X[0] + 50.0)
+    assert made.rows["expected error"] == ("unknown: not supported by the data, see note",)
+    assert "unknown material" not in made.rows
+    reason = made.diagnostics[0]
+    assert "length scales away; choose a latent nearer" in reason
+    assert "error" not in reason  # one answer
 
 
 def test_the_bound_needs_enough_materials(model):
@@ -232,14 +236,13 @@ def test_of_a_blended_colour_a_larger_error_is_expected_than_of_a_known_one(mode
     assert blended.expected.ball > 2.0 * chosen.expected.ball
     assert blended.expected_in_chosen_colour == chosen.expected
     assert chosen.expected_in_chosen_colour is None
-    lines = [made.rows["expected error"] for made in (blended, chosen)]
-    assert [any(str(line).startswith("with a chosen colour") for line in each) for each in lines] == [
-        True,
-        False,
-    ]
-    assert lines[0][0][0].startswith(
-        f"{blended.expected.ball:.1f} CIEDE2000 of the ball (mean of five lights)"
-    )
+    of_colour = f"{chosen.expected.ball:.1f} CIEDE2000 of the ball (mean of five lights)"
+    assert chosen.rows["expected error"][0][0] == of_colour
+    assert blended.rows["expected error"][0][0] == f"of a material of this colour: {of_colour}"
+    unknown = f"{blended.expected.ball:.1f} CIEDE2000 of the ball (mean of five lights)"
+    assert blended.rows["unknown material"][0] == f"located here, its colour not given: {unknown}"
+    assert "unknown material" not in chosen.rows
+    assert list(blended.summary)[:3] == ["place", "expected error", "unknown material"]
 
 
 def test_a_material_in_another_colour_than_its_own_has_an_expected_error(model):

@@ -202,8 +202,9 @@ def export(
     tolerance: Annotated[
         float | None,
         typer.Option(
-            help="For shaders: write the smallest table within so many CIEDE2000 of the ball. [default: 0.3]",
-            metavar="CIEDE2000",
+            help="For shaders: write the smallest table that differs from the material by at most so much "
+            "({manifold.core.judged_lights.BALL}). [default: 0.3]",
+            metavar="E",
         ),
     ] = None,
     pack: Annotated[

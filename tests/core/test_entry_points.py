@@ -165,7 +165,7 @@ def test_a_kernel_and_a_mapping_of_another_package_embed_and_predict(work, lab_k
     assert (work / "own.bsdf").exists()
     without = run(work, work, "predict", "0.3,0.2", "-M", "own.h5", "-o", "lost.bsdf")
     assert without.returncode == 1
-    assert "no mapping is called 'fourth-root'" in without.stderr
+    assert "no kernel is called 'rational-quadratic'" in without.stderr
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="cells of commands are for bash")

@@ -102,8 +102,11 @@ def test_shaders_ask_for_full_precision(visited):
 
 
 def test_a_moving_ball_makes_up_for_the_materials_that_it_leaves_out(visited, model):
-    places = [x + [dx, dy] for x in model.X for dx in (-0.3, 0.0, 0.3) for dy in (-0.3, 0.3)]
-    x = min(places, key=lambda x: min(weight for weight in model.weights(x) if weight > 0.0))  # one is left out
+    steps = np.array([(dx, dy) for dx in (-0.3, 0.0, 0.3) for dy in (-0.3, 0.3)])
+    places = (model.X[:, None] + steps).reshape(-1, 2)
+    x = min(
+        places, key=lambda x: min(weight for weight in model.weights(x) if weight > 0.0)
+    )  # one is left out
     at_rest = table_of_page(visited.page, x)
     moving = table_of_page(visited.page, x, refine=False)
     assert not np.array_equal(moving, at_rest)

@@ -63,39 +63,39 @@ fit.values, fit.notes
 # manifold.render_ball
 picture = mf.render_ball(brdf, size=32, samples=4)  # linear sRGB, (32, 32, 3)
 
-# === manifold.core.directions
+# === manifold.directions
 
 import manifold as mf
 
-# manifold.core.directions
+# manifold.directions
 wi = mf.directions.from_spherical(0.5, 0.0)
 wo = mf.directions.from_spherical(0.7, 3.0)
 half = mf.directions.half_vector(wi, wo)
 theta_h, theta_d, phi_d, phi_h = mf.directions.to_rusinkiewicz(wi, wo)
 
-# === manifold.core.mapping
+# === manifold.mapping
 
 import numpy as np
 import manifold as mf
 
-# manifold.core.mapping
+# manifold.mapping
 mapping = mf.mapping.CubeRoot()
 mapping.inverse(mapping.forward(np.array([0.1, 2.0])))
 
-# === manifold.core.metrics
+# === manifold.metrics
 
 import numpy as np
 import manifold as mf
 
-# manifold.core.metrics
+# manifold.metrics
 f, f_star = np.array([0.1, 2.0]), np.array([0.11, 1.9])
 mf.metrics.cube_root_error(f, f_star)
 
-# === manifold.core.errors
+# === manifold.errors
 
 import manifold as mf
 
-# manifold.core.errors
+# manifold.errors
 try:
     mf.read_bsdf("missing.bsdf")
 except mf.errors.ManifoldError as error:
@@ -478,3 +478,28 @@ from manifold.study import make_chart
 
 chart = make_chart([library.read(name) for name in library.names], only=["nearest", "linear"], fitted=1)
 [(row.title, row.median.ball) for row in chart.rows]
+
+# === manifold.shader
+
+from pathlib import Path
+import manifold as mf
+from manifold.estimate.sources import FileSource
+
+file = mf.read_bsdf("corpus/syn_satin_gold_rgb.bsdf")
+
+# manifold.shader.make_shader
+from manifold.shader import make_shader
+
+shader = make_shader(file, tolerance=0.5)
+shader.errors.ball
+
+# manifold.shader.Shader
+shader.name, shader.against, shader.notes
+
+# manifold.shader.ShaderTable
+shader.table.shape.bytes  # the texture, at most 1 MB
+
+# manifold.shader.export
+from manifold.shader import export
+
+export(FileSource(Path("corpus/syn_satin_gold_rgb.bsdf")), Path("gold"))

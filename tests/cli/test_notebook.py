@@ -22,7 +22,7 @@ from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.importing import import_files
 from manifold.model.manifold import Manifold
-from manifold.model.settings import KINDS, BlendSettings
+from manifold.model.settings import KINDS, BlendSettings, GplvmSettings
 from manifold.render.ball import render_ball
 
 
@@ -57,18 +57,18 @@ def test_bands_take_any_sequence_and_refuse_what_is_no_axis():
 
 
 @pytest.mark.parametrize(
-    ("settings", "message"),
+    ("kind", "settings", "message"),
     [
-        ({"latent_dim": "auto"}, "latent_dim is 'auto', expected a whole number from 1"),
-        ({"latent_dim": 2.5}, "latent_dim is 2.5, expected a whole number from 1"),
-        ({"latent_dim": -1}, "latent_dim is -1, expected a whole number from 1"),
-        ({"sample_bands": 1}, "sample_bands is 1, expected a whole number from 2"),
-        ({"grid": "fine"}, "no grid is called 'fine'; expected one of default, hikichi"),
+        (BlendSettings, {"latent_dim": "auto"}, "latent_dim is 'auto', expected a whole number from 1"),
+        (BlendSettings, {"latent_dim": 2.5}, "latent_dim is 2.5, expected a whole number from 1"),
+        (BlendSettings, {"latent_dim": -1}, "latent_dim is -1, expected a whole number from 1"),
+        (BlendSettings, {"sample_bands": 1}, "sample_bands is 1, expected a whole number from 2"),
+        (GplvmSettings, {"grid": "fine"}, "no grid is called 'fine'; expected one of default, hikichi"),
     ],
 )
-def test_settings_are_refused_before_a_library_is_read(settings, message):
+def test_settings_are_refused_before_a_library_is_read(kind, settings, message):
     with pytest.raises(UsageError, match=message):
-        BlendSettings(**settings)
+        kind(**settings)
 
 
 def test_several_latents_have_the_errors_and_support_of_each(model):

@@ -35,7 +35,7 @@ atoms = LibraryAtoms.of_library(library)
 with tempfile.TemporaryDirectory() as folder:
     for readings in built_in.observations(Path(folder)):
         found = expected.calibrate(atoms, evidence.for_library(readings, library.bands), library)
-        print(len(found.indicators))
+        print(len(found.residuals))
 print(coat.expected_errors(atoms, (60.0,), library).ball)
 """
 
@@ -77,7 +77,7 @@ def test_the_order_of_readings_and_their_wavelengths_do_not_matter(atoms, only_s
         "sample", "of another kind", readings.wi[order] + 1e-9, readings.wo[order], nm,
         np.full((len(readings), len(nm)), 0.1),
     )  # fmt: skip
-    assert len(expected.calibrate(atoms, shuffled, Library(BUILT_IN)).indicators) == 20
+    assert len(expected.calibrate(atoms, shuffled, Library(BUILT_IN)).residuals) == 20
 
 
 def test_a_workbook_has_the_directions_of_the_calibration(atoms, only_shipped, tmp_path):
@@ -91,7 +91,7 @@ def test_a_workbook_has_the_directions_of_the_calibration(atoms, only_shipped, t
         len(
             expected.calibrate(
                 atoms, evidence.for_library(readings, atoms.bands), Library(BUILT_IN)
-            ).indicators
+            ).residuals
         )
         == 20
     )

@@ -126,18 +126,11 @@ def test_a_measured_file_is_fitted_on_the_way(folder, tmp_path, monkeypatch, qui
 def test_a_prediction_is_exported(tmp_path):
     library = small_library(tmp_path)
     Manifold.fit(exporting.Library.open(library), calibrate=False).save(tmp_path / "model.h5")
-    words = [
-        "export",
-        NAMES[0],
-        "-M",
-        tmp_path / "model.h5",
-        "-o",
-        tmp_path / "felt.usda",
-    ]
+    words = ["export", "0.1,0.1", "-M", tmp_path / "model.h5", "-o", tmp_path / "between.usda"]
     result = run(*words, "--json", tmp_path / "report.json")
     assert result.exit_code == 0, result.output
     (made,) = json.loads((tmp_path / "report.json").read_text())["exports"]
-    assert (made["material"], made["against"], made["target"]) == (NAMES[0], "prediction", "usd")
+    assert (made["against"], made["target"]) == ("prediction", "usd")
     assert len(made["source"]["latent"]) == 2
     assert made["errors"]["ball"] is not None
 

@@ -149,7 +149,8 @@ def test_what_is_not_approximated_is_kept(rng: np.random.Generator) -> None:
         assert np.all(found.vndf >= 0.0)
         is_dark = np.all(file.spectra == 0, axis=2)
         np.testing.assert_array_equal(np.all(found.spectra == 0, axis=2), is_dark)
-        np.testing.assert_array_equal(unmeasured_cells(found), unmeasured_cells(file))
+        # Directions follow from the rounded vndf: a cell at the horizon may move across it.
+        assert np.mean(unmeasured_cells(found) != unmeasured_cells(file)) < 1e-3
         assert found.spectra.min() >= 0.0
         assert found.spectra.dtype == found.luminance.dtype == np.float32
 

@@ -119,11 +119,12 @@ def complete(
     samples are completed into a folder, with a table and a picture of all balls; results of an earlier run are
     kept. A report (--report) of several samples has an index and a page per sample.
     """
+    from manifold.core.defaults import FINE_INCIDENCES
     from manifold.estimate import completions, inputs, instruments, reports, suggestions
     from manifold.estimate.attributes import readings_of_colour
     from manifold.estimate.inputs import find_samples
     from manifold.library.store import Library
-    from manifold.model.output_file import FINE_INCIDENCES, OutputOptions
+    from manifold.model.output_file import OutputOptions
 
     results = terminal.Results(json)
     written = OutputOptions(physical, terminal.is_strict(), resolution, incidences or FINE_INCIDENCES)

@@ -111,7 +111,7 @@ def embed(
         float | None,
         typer.Option(
             help="For --kind gplvm: height of the kernel's delta term (nugget), from 1e-10 to 1e6. "
-            "[default: {manifold.gp.kernels.DEFAULT_MU}]",
+            "[default: {manifold.core.defaults.DEFAULT_MU}]",
             metavar="MU",
         ),
     ] = None,

@@ -164,7 +164,7 @@ IncidencesOption = Annotated[
 FineIncidencesOption = Annotated[
     int | None,
     typer.Option(
-        help="Angles of incidence from 0 to 90 degrees. [default: {manifold.model.output_file.FINE_INCIDENCES}]",
+        help="Angles of incidence from 0 to 90 degrees. [default: {manifold.core.defaults.FINE_INCIDENCES}]",
         metavar="N",
         min=2,
         max=128,

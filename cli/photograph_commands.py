@@ -240,7 +240,8 @@ def photograph(
     The light of the pictures is given by --lamp, --light or --light-ball. Readings, gloss and a colour of the same
     material are part of the same estimate. To locate the result on a map, run `manifold locate`.
     """
-    from manifold.model.output_file import FINE_INCIDENCES, OutputOptions
+    from manifold.core.defaults import FINE_INCIDENCES
+    from manifold.model.output_file import OutputOptions
 
     results = terminal.Results(json)
     if not pictures:

@@ -18,11 +18,12 @@ from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, Transfo
 from sklearn.utils import check_array
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from manifold.core.defaults import DEFAULT_MU
 from manifold.core.errors import UsageError
 from manifold.core.records import Array
 from manifold.dls import STOPPED, FunctionObjective, MoveObjective, direct_local_search
 from manifold.gp.encoding import Encoder
-from manifold.gp.kernels import DEFAULT_MU, Kernel, kernel_named, require_mu
+from manifold.gp.kernels import Kernel, kernel_named, require_mu
 from manifold.gp.likelihood import (
     IncrementalObjective,
     LatentObjective,

@@ -13,13 +13,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path, PurePath
-from typing import Any, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any, Protocol
 
 from manifold.core.errors import LibraryError
 from manifold.core.extras import require
+
+if TYPE_CHECKING:  # helps name the built-in library, and need no numbers
+    import numpy as np
+    from numpy.typing import NDArray
 
 METADATA, MATERIALS = "zarr.json", "materials"
 CONSOLIDATED = "consolidated_metadata"
@@ -36,6 +37,13 @@ def address_of(path: PurePath | str) -> str | None:
     text = path.as_posix() if isinstance(path, PurePath) else path
     found = _ADDRESS.match(text)
     return None if found is None else f"{found[1]}://{text[found.end() :]}".rstrip("/")
+
+
+def _bytes(content: bytes) -> NDArray[np.uint8]:
+    """Return bytes as a writable array."""
+    import numpy as np
+
+    return np.frombuffer(bytearray(content), np.uint8)
 
 
 class Store(Protocol):
@@ -119,6 +127,8 @@ class FolderStore:
 
     def read(self, path: str, most: int = -1) -> NDArray[np.uint8]:
         """Return the first bytes of a file, by default all."""
+        import numpy as np
+
         return np.fromfile(self.root / path, np.uint8, most)
 
 
@@ -169,7 +179,7 @@ class ZipStore:
     def read(self, path: str, most: int = -1) -> NDArray[np.uint8]:
         """Return the first bytes of a file, by default all. Raises RuntimeError or BadZipFile if it is damaged."""
         with self._zip.open(self._top + path) as file:
-            return np.frombuffer(bytearray(file.read(most)), np.uint8)
+            return _bytes(file.read(most))
 
 
 def is_zipped_library(path: Path) -> bool:
@@ -245,7 +255,7 @@ class RemoteStore:
         content = self._content(path)
         if most < 0:
             self._fetched.pop(path, None)
-        return np.frombuffer(bytearray(content if most < 0 else content[:most]), np.uint8)
+        return _bytes(content if most < 0 else content[:most])
 
     def _json(self, path: str) -> dict[str, Any]:
         return dict(json.loads(self._files.cat_file(f"{self._root}/{path}")))

@@ -7,8 +7,9 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from manifold.core.defaults import DEFAULT_MU
 from manifold.core.records import Array
-from manifold.gp.kernels import DEFAULT_MU, Kernel, first_equal_row, kernel_named
+from manifold.gp.kernels import Kernel, first_equal_row, kernel_named
 from manifold.gpr import GaussianProcess, LengthScaleBound
 
 

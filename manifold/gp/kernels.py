@@ -16,12 +16,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from manifold.core.defaults import DEFAULT_MU
 from manifold.core.errors import UsageError
 from manifold.core.records import Array, Indices, Mask
 from manifold.registries import KERNELS
 
-DEFAULT_MU = 1e-4
-"""The noise filter of Hikichi & Iwasaki (section 3.3)."""
 SMALLEST_MU = 1e-10  # below, K loses definiteness while latents pass each other
 LARGEST_MU = 1e6  # above, everything is noise
 

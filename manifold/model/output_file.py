@@ -15,6 +15,7 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.physical import physical_file
 from manifold.brdf.plausibility import Plausibility, plausibility_of_file
 from manifold.core import disk
+from manifold.core.defaults import FINE_INCIDENCES
 from manifold.core.errors import UsageError
 from manifold.core.metrics import Errors, Number
 from manifold.core.records import BsdfFile
@@ -44,8 +45,6 @@ class OutputOptions:
 
 
 DEFAULT_OPTIONS = OutputOptions()
-FINE_INCIDENCES = 24
-"""Incidences of completions: eight change colours at the readings by up to 2.3 CIEDE2000, 24 by 0.3."""
 COMPLETION_OPTIONS = OutputOptions(incidences=FINE_INCIDENCES)
 FINE_OPTIONS = OutputOptions(resolution=48, incidences=FINE_INCIDENCES)
 """The resolution of temporary files in place of a prediction.

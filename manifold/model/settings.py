@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 from numbers import Integral
 from typing import Any, ClassVar, Self
 
+from manifold.core.defaults import DEFAULT_MU
 from manifold.core.errors import UsageError
 from manifold.core.pairs import RusinkiewiczGrid
-from manifold.gp.kernels import DEFAULT_MU, Kernel, kernel_named, require_mu
+from manifold.gp.kernels import Kernel, kernel_named, require_mu
 from manifold.gp.likelihood import require_prior
 from manifold.registries import MAPPINGS, OPTIMIZERS
 

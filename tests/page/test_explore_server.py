@@ -34,7 +34,7 @@ from manifold.registries import TARGETS
 def worker(body):
     """A worker whose commands all are these lines."""
     lines = "".join(f"    {line}\n" for line in body.splitlines())
-    imports = "import os, time\nfrom manifold import progress\nfrom manifold.page.worker import serve\n"
+    imports = "import os, time\nfrom manifold.core import progress\nfrom manifold.page.worker import serve\n"
     return (sys.executable, "-c", f"{imports}def run(command, given):\n{lines}serve(run)")
 
 

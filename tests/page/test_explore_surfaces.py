@@ -180,5 +180,5 @@ def test_the_page_begins_with_a_surface_and_finds_back_to_it(opened, surface):
 
 def test_a_surface_without_spectra_is_refused_on_a_map_of_spectra(surface):
     rgb = replace(surface, brdf=MeasuredBRDF(measured("syn_satin_gold")))
-    with pytest.raises(UsageError, match="the map has spectra"):
+    with pytest.raises(UsageError, match="the map is spectral"):
         components_of(rgb, Bands((450.0, 550.0)), tabulated_pairs(), np.eye(2))

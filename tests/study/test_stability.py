@@ -129,7 +129,7 @@ def test_the_command_ends_with_status_1_where_a_row_is_silently_wrong(wrong_mode
     from manifold.cli.main import run
 
     (tmp_path / "images").mkdir()
-    files = {"--json": "s.json", "--picture": "images/s.png"}
+    files = {"--json": "s.json", "-o": "images/s.png"}
     with pytest.raises(SystemExit) as left:
         run(
             [

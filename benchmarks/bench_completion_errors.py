@@ -50,7 +50,7 @@ LeftOut = tuple[LibraryAtoms, list[int]]
 
 @dataclass(frozen=True)
 class Setup:
-    """What is observed of a material: readings at directions (P, 3), gloss, or pictures.
+    """The observations of a material: readings at directions (P, 3), gloss, or pictures.
 
     Attributes:
         gloss_deg: angles of a gloss meter.
@@ -67,7 +67,7 @@ class Setup:
     has_reading: bool = False
 
     def observers(self, atoms: LibraryAtoms, truths: LibraryAtoms) -> Callable[[int], Completion]:
-        """Return the completion, from a library's atoms, of what is observed of each of other materials."""
+        """Return the completions of other materials from their observations and a library's atoms."""
         if self.lamps_deg:
             return self._pictures(atoms.in_values, truths.in_values)
         wi, wo = self.wi, self.wo

@@ -158,7 +158,7 @@ def make(files: list[Path], temporary: Path) -> Path:
 
 
 def problems(made: Path) -> list[str]:
-    """Return the differences between what is shipped and what was made again, and wrong checksums."""
+    """Return the differences between the shipped files and newly made ones, and wrong checksums."""
     from manifold.library import store
     from manifold.library.store import Library
     from manifold.model.model_file import read_model

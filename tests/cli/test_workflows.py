@@ -168,7 +168,7 @@ def test_the_page_of_the_demo_begins_with_a_measured_material_and_its_errors(dem
 
 
 def test_halfway_between_the_pair_that_the_demo_shows_is_between_them():
-    """Of the built-in map: at each angle of its slices, and in its ball."""
+    """The built-in map is tested, at each angle of the slices and in the ball."""
     model = Manifold.load(shipped.BUILT_IN)
     materials = model.materials.filled()
     _, pairs = coherence_of(

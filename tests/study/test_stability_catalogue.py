@@ -25,7 +25,12 @@ from manifold.study.stability.testbed import MIDDLE, TestBed
 from manifold.study.stability.trials import FINE, REFUSED, WARNED, WRONG, TrialResult, run_trial
 
 BY_KEY = {mode.key: mode for mode in MODES}
-ROWS = [(mode.key, method) for mode in MODES for method in mode.methods]
+BORDERLINE = {("across_classes", "blend")}
+"""Halfway on a straight path of latents the error was 0.513 in one process and below the limit, 0.5, in another.
+Whether the row is wrong depends on rounding, so no test states it."""
+ROWS = [
+    (mode.key, method) for mode in MODES for method in mode.methods if (mode.key, method) not in BORDERLINE
+]
 SEARCHES = {"adam", "swarm"}  # their severe end takes many seconds
 LIBRARIES = {"duplicates", "near_duplicates", "outlier", "no_noise", "long_length_scale", "many_dimensions"}
 """Modes that import a library, or fit a model, per trial: quick tests try only blends, at the severe end.
@@ -36,8 +41,6 @@ TRIED_BELOW = {
     ("ill_conditioned_kernel", "GP"),
 }
 """Their severe end must warn, with a guard, and be wrong without it."""
-BORDERLINE = {("across_classes", "blend")}
-"""Halfway on a straight path of latents the error is within 5 % of the limit, on either side by rounding."""
 HARMLESS = [
     (m.key, "blend" if "blend" in m.methods else next(iter(m.methods)))
     for m in MODES
@@ -91,7 +94,7 @@ def tried(bed: TestBed, key: str, method: str, severity: float | None = None) ->
 @pytest.mark.parametrize(("key", "method"), ROWS)
 def test_no_severity_is_silently_wrong_and_the_first_one_is_fine(bed, key, method):
     found = [tried(bed, key, method, severity) for severity in BY_KEY[key].severities]
-    assert (key, method) in BORDERLINE or not any(one.outcome == WRONG for one in found)
+    assert not any(one.outcome == WRONG for one in found)
     assert (found[0].outcome, found[0].message) == (FINE, "")
 
 
@@ -99,7 +102,7 @@ def test_no_severity_is_silently_wrong_and_the_first_one_is_fine(bed, key, metho
     ("key", "method"), [row for row in QUICK if row not in TRIED_BELOW and row[1] not in SEARCHES]
 )
 def test_the_severe_end_is_not_silently_wrong(bed, key, method):
-    assert (key, method) in BORDERLINE or tried(bed, key, method).outcome != WRONG
+    assert tried(bed, key, method).outcome != WRONG
 
 
 @pytest.mark.parametrize(("key", "method"), HARMLESS)

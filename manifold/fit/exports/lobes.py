@@ -19,7 +19,7 @@ from manifold.core.directions import gauss_legendre, normalize, rotate_z
 from manifold.core.records import Array, Indices
 from manifold.fit.exports.principled_values import ior_to_f0
 
-# Of albedo tables: cosines, and azimuths and steepnesses of facets in the quadrature of each.
+# Nodes of albedo tables: cosines, and the azimuths and steepnesses of facets over which each cosine is integrated.
 _NODES, _AZIMUTHS, _STEEPNESSES = 33, 16, 48
 _ROUGHNESSES = 32  # steps of these tables by the root of alpha
 _COSINES = np.maximum(np.linspace(0.0, 1.0, _NODES) ** 2, 1e-3)  # with the normal: dense at grazing

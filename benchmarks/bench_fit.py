@@ -35,7 +35,7 @@ from manifold.io_rgl import read_bsdf
 from manifold.model.comparison import brdf_errors
 from manifold.render import backend, fit_json
 from manifold.render.bsdf_evaluation import evaluator
-from manifold.render.bsdf_parameters import Layout, principled
+from manifold.render.bsdf_parameters import ParameterLayout, principled
 from manifold.render.fitted_brdf import FittedBRDF
 
 NOISE = 0.005
@@ -45,7 +45,7 @@ SENSORS_DEG = (
 )  # fmt: skip
 
 
-def truths(n: int, layout: Layout) -> np.ndarray:
+def truths(n: int, layout: ParameterLayout) -> np.ndarray:
     """Random parameter vectors (n, K): uniform, a little away from the ends of [0, 1]."""
     low, high = np.maximum(layout.minimum, 0.02), np.minimum(layout.maximum, 0.98)
     return np.random.default_rng(1).uniform(low, high, (n, layout.size))
@@ -62,7 +62,7 @@ def noisy(
 
 def judge(result: FitResult, p: np.ndarray, truth_residual: float) -> dict[str, Any]:
     """How a fit compares with the truth."""
-    layout = Layout(result.family, 3)
+    layout = ParameterLayout(result.family, 3)
     error = np.abs(layout.join(result.values) - p)
     counted = [k for k, label in enumerate(layout.labels) if label not in ("clearcoat_gloss", "sheen")]
     claimed = [k for k in counted if result.statements[k].state == DETERMINED]
@@ -110,7 +110,7 @@ def truth_summary(judged: list[dict[str, Any]]) -> dict[str, Any]:
 def rough_or_smooth(n: int) -> dict[str, Any]:
     """Rough black and smooth grey: how often both are among the solutions that fit as well as the best."""
     family = principled()
-    layout = Layout(family, 3)
+    layout = ParameterLayout(family, 3)
     materials = {
         "rough black": {"base_color": [0.01] * 3, "roughness": 0.95},
         "smooth grey": {"base_color": [0.02] * 3, "roughness": 0.1},
@@ -154,7 +154,7 @@ def json_difference(result: FitResult, samples: FitSamples) -> float:
     """Largest difference of the BSDF that the written JSON re-creates, over the largest value."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "fit.json"
-        fit_json.write_document(path, fits.document(result, fit_json.Source("benchmark")))
+        fit_json.write_document(path, fits.document(result, fit_json.FitSource("benchmark")))
         bsdf = fit_json.read_bsdf(path)
     mi, dr = backend.mitsuba(colour="rgb"), backend.drjit()
     si = dr.zeros(mi.SurfaceInteraction3f, len(samples))

@@ -17,7 +17,7 @@ import manifold as mf
 from manifold.core.records import Array
 from manifold.fit import exporting, fit_samples
 from manifold.fit.exports.direct import fit_target
-from manifold.fit.exports.principled_values import Principled
+from manifold.fit.exports.principled_values import PrincipledValues
 from manifold.fit.exports.targets import TargetBRDF
 from manifold.io_rgl import material_name
 from manifold.model import brdf_errors
@@ -40,7 +40,7 @@ def exported(path: Path, target_name: str) -> ExportedBRDF:
     fit = path.with_name(path.name.replace("_rgb.bsdf", ".fit.json"))
     subject = exporting.subject_of(fit, path) if fit.exists() else exporting.subject_of(path, None)
     assert subject.material is not None
-    start = target.parameters(Principled.from_fit(subject.fit["bsdf"], subject.fit["values"]))
+    start = target.parameters(PrincipledValues.from_fit(subject.fit["bsdf"], subject.fit["values"]))
     return ExportedBRDF(target, fit_target(target, start, fit_samples.from_brdf(subject.material)))
 
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from manifold.estimate.inputs import Input
     from manifold.estimate.sources import MaterialSource
-    from manifold.many.batch import Batch, Command
+    from manifold.many.batch import Batch, BatchCommand
     from manifold.many.batch import Source as BatchSource
 
     S = TypeVar("S", bound=BatchSource)
@@ -153,7 +153,7 @@ def require_folder(output: Path | None, outputs: str, suffix: str = ".bsdf") -> 
 
 
 def make_many(
-    results: terminal.Results, command: Command[S], sources: Sequence[S], output: Path | None,
+    results: terminal.Results, command: BatchCommand[S], sources: Sequence[S], output: Path | None,
     workers: AbstractContextManager[Executor | None] | None = None, *, outputs: str = "many files; name another",
     failed: Sequence[str] = (), then: Callable[[Batch[S]], object] | None = None,
 ) -> None:  # fmt: skip

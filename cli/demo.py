@@ -46,7 +46,7 @@ from manifold.model.settings import BlendSettings
 from manifold.page.explore import write_page
 from manifold.pictures import ball_figures, figures, map_figure, maps, renders
 from manifold.pictures.maps import slices, sources
-from manifold.pictures.slice_figures import Source
+from manifold.pictures.slice_figures import ShownBRDF
 from manifold.registries import EXAMPLES
 from manifold.render import backend
 from manifold.render.render import RenderSettings
@@ -279,7 +279,7 @@ def complete_measured(folder: Path) -> CompletedMaterial:
     title = f"{name}: off by {found.true:.1f} CIEDE2000 (mean of {LIGHTS}), expected {found.expected:.1f}"
     images = [(label, studio_ball(brdf)) for label, brdf in balls]
     figures.save(ball_figures.balls_beside(title, images), found.pictures[0])
-    slices([Source(label, brdf) for label, brdf in balls], found.pictures[1])
+    slices([ShownBRDF(label, brdf) for label, brdf in balls], found.pictures[1])
     return found
 
 

@@ -93,7 +93,7 @@ def direct_local_search(
     n = objective.x.shape[0]
     if not (np.all(np.asarray(initial_step) > 0) and tolerance > 0):
         raise UsageError(f"initial_step {initial_step} and tolerance {tolerance}: both must be positive")
-    search = _Search(
+    search = _PatternSearch(
         objective,
         steps=_per_coordinate(initial_step, n, "initial_step"),
         limits=_limits(bounds, n),
@@ -127,7 +127,7 @@ def direct_local_search(
     )
 
 
-class _Search:
+class _PatternSearch:
     """Steps, budget, and the best point of one search."""
 
     def __init__(

@@ -237,7 +237,7 @@ TARGETS: Registry[Any] = Registry(
     group="brdf_manifold.targets",
     attributes=("name", "suffix", "title", "entries", "parameters", "brdf", "content"),
 )
-"""Targets of `manifold export`, each a `manifold.fit.exports.targets.Target`."""
+"""Targets of `manifold export`, each a `manifold.fit.exports.targets.WrittenFormat`."""
 
 CONVERTED_SUFFIXES = {
     "rgl": (".bsdf",),
@@ -257,7 +257,7 @@ CONVERTED_SUFFIXES = {
 CONVERTED: Registry[Any] = Registry(
     "format", places={name: _CONVERT + name.upper().replace("-", "_") for name in CONVERTED_SUFFIXES}
 )
-"""Formats that `manifold convert` writes, each a `manifold.convert.targets.Target`."""
+"""Formats that `manifold convert` writes, each a `manifold.convert.targets.WrittenFormat`."""
 
 OPTIMIZERS: Registry[Any] = Registry(
     "optimizer",

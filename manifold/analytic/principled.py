@@ -34,7 +34,7 @@ _COAT_F0 = 0.04
 _COAT_ENDS = 0.1, 0.001  # alpha at gloss 0 and 1
 
 
-class Lobes(NamedTuple):
+class PrincipledFactors(NamedTuple):
     """The factors that depend on a parameter nonlinearly: `f0` has shape (..., 1), the others (..., M).
 
     Attributes:
@@ -145,7 +145,7 @@ class Principled:
                 by_name[name] = (self._assemble({**values, name: end}, lobes) - here) / (end - values[name])
         return here, by_name
 
-    def _assemble(self, values: Mapping[str, Array | float], lobes: Lobes) -> Array:
+    def _assemble(self, values: Mapping[str, Array | float], lobes: PrincipledFactors) -> Array:
         metallic, tint, flat, sheen_tint = (
             values[name] for name in ("metallic", "spec_tint", "flatness", "sheen_tint")
         )
@@ -168,7 +168,7 @@ class Principled:
 
     def _lobes(
         self, values: Mapping[str, Array | float], *, with_slopes: bool = False
-    ) -> tuple[Lobes, dict[str, dict[str, Array]]]:
+    ) -> tuple[PrincipledFactors, dict[str, dict[str, Array]]]:
         """Return the lobes and, by parameter and lobe, their derivatives."""
         roughness, anisotropic, gloss = (
             np.asarray(values[name], float) for name in ("roughness", "anisotropic", "clearcoat_gloss")
@@ -196,7 +196,7 @@ class Principled:
         a2 = alpha**2
         below = 1.0 + (a2 - 1.0) * self._cos_h2
         coat = (a2 - 1.0) / (np.pi * np.log(a2) * below)
-        lobes = Lobes(specular, fresnel, root**2, retro, flat, coat)
+        lobes = PrincipledFactors(specular, fresnel, root**2, retro, flat, coat)
         if not with_slopes:
             return lobes, {}
 

@@ -16,7 +16,7 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.correction import read_correction
 from manifold.convert.source import (
     LEAST_COSINE,
-    Source,
+    ConversionSource,
     in_luminance,
     open_source,
     source_of_prediction,
@@ -135,7 +135,9 @@ def convert(
         raise UsageError(f"{output}: is the file to be converted; name another output")
     learned = None if correction is None else read_correction(correction)
     predicted: DiagnosedPrediction | None = None
-    opened: Callable[..., Source] = partial(open_source, files, sample, learned, merge=merge, unit=unit)
+    opened: Callable[..., ConversionSource] = partial(
+        open_source, files, sample, learned, merge=merge, unit=unit
+    )
     if isinstance(paths, PlaceSource):
         if sample is not None or learned is not None:
             raise UsageError(
@@ -194,7 +196,7 @@ def _predicted(place: PlaceSource) -> tuple[DiagnosedPrediction, BsdfFile]:
         return made, read_bsdf(path)
 
 
-def _gaps(source: Source) -> list[str]:
+def _gaps(source: ConversionSource) -> list[str]:
     """Return notes on readings that are too sparse for an accurate interpolation."""
     theta = np.rad2deg(source.theta_i_rad)
     if theta.size == 1:
@@ -208,7 +210,7 @@ def _gaps(source: Source) -> list[str]:
     return []
 
 
-def _compared(source: Source, back: Source) -> tuple[Readings, Array]:
+def _compared(source: ConversionSource, back: ConversionSource) -> tuple[Readings, Array]:
     """Return the nodes of a source, and the values (P, B) of the written file at them, in 1/sr.
 
     Readings are compared with readings, row by row; otherwise the result is evaluated at the nodes.

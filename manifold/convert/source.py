@@ -36,7 +36,7 @@ LEAST_COSINE = float(np.sin(np.deg2rad(2.0)))
 
 
 @dataclass(frozen=True, eq=False)
-class Source:
+class ConversionSource:
     """A BRDF to be converted.
 
     Attributes:
@@ -116,7 +116,7 @@ def open_source(
     rgb: bool = False,
     merge: bool = False,
     unit: str | None = None,
-) -> Source:
+) -> ConversionSource:
     """Read the input of a conversion: one file, or the files of one specimen (pab-opto: one per incidence).
 
     Colours of readings are corrected before anything else; in linear sRGB, RGL files are converted before they are
@@ -148,7 +148,7 @@ def open_source(
         return _of_rgl(file_to_srgb(record) if rgb else record)
     if isinstance(record, DenseTable):
         theta_i = record.axes[0] if record.coordinates == "incident-outgoing" else np.zeros(0)
-        source = Source(record.readings(MOST_NODES), DenseBRDF(record), theta_i, is_readings=False)
+        source = ConversionSource(record.readings(MOST_NODES), DenseBRDF(record), theta_i, is_readings=False)
     else:
         source = _of_readings(record if correction is None else correct_colours(record, correction))
     return _in_srgb(source) if rgb else source
@@ -158,7 +158,7 @@ def _in_daylight(record: registry.Record) -> registry.Record:
     return in_daylight(record) if isinstance(record, Readings) else record
 
 
-def source_of_prediction(brdf: BRDF, file: BsdfFile, *, rgb: bool = False) -> Source:
+def source_of_prediction(brdf: BRDF, file: BsdfFile, *, rgb: bool = False) -> ConversionSource:
     """Return a model's prediction as a source, at the nodes of a file that was measured from it."""
     of_file = _of_rgl(file)
     clipped = ClippedBRDF(brdf)
@@ -167,7 +167,7 @@ def source_of_prediction(brdf: BRDF, file: BsdfFile, *, rgb: bool = False) -> So
     return replace(_in_srgb(source), file=file_to_srgb(file)) if rgb else source
 
 
-def in_luminance(source: Source) -> Source:
+def in_luminance(source: ConversionSource) -> ConversionSource:
     """Return the luminance of a source in linear sRGB, as one band."""
     nodes, brdf = source.nodes, source.interpolated
     values = luminance(nodes.values, nodes.bands)[:, None]
@@ -177,7 +177,7 @@ def in_luminance(source: Source) -> Source:
     )
 
 
-def with_estimated_spectra(source: Source) -> Source:
+def with_estimated_spectra(source: ConversionSource) -> ConversionSource:
     """Return a source in three narrow bands as one of spectra, with a note; others unchanged."""
     if not is_narrow(source.nodes.bands):
         return source
@@ -186,7 +186,7 @@ def with_estimated_spectra(source: Source) -> Source:
     return replace(source, nodes=with_spectra(source.nodes), interpolated=estimated)
 
 
-def _in_srgb(source: Source) -> Source:
+def _in_srgb(source: ConversionSource) -> ConversionSource:
     if source.nodes.bands.is_rgb:
         return source
     source = with_estimated_spectra(source)
@@ -196,7 +196,7 @@ def _in_srgb(source: Source) -> Source:
     return replace(source, nodes=nodes, interpolated=brdf if isinstance(brdf, UsageError) else SrgbBRDF(brdf))
 
 
-def _of_rgl(file: BsdfFile) -> Source:
+def _of_rgl(file: BsdfFile) -> ConversionSource:
     brdf = MeasuredBRDF(fill_unmeasured(file))
     wi, wo = [], []
     for p, t, cells in cells_of(file):
@@ -210,13 +210,13 @@ def _of_rgl(file: BsdfFile) -> Source:
         file.name, "RGL goniometer", all_wi[chosen], all_wo[chosen], file.wavelengths_nm,
         brdf.eval(all_wi[chosen], all_wo[chosen]),
     )  # fmt: skip
-    return Source(nodes, brdf, file.theta_i_rad.astype(np.float64), is_readings=False, file=file)
+    return ConversionSource(nodes, brdf, file.theta_i_rad.astype(np.float64), is_readings=False, file=file)
 
 
-def _of_readings(readings: Readings) -> Source:
+def _of_readings(readings: Readings) -> ConversionSource:
     theta = np.unique(np.round(np.arccos(np.clip(readings.wi[:, 2], 0.0, 1.0)), 5))
     try:
         brdf: BRDF | UsageError = ReadingsBRDF(readings)
     except UsageError as error:
         brdf = error
-    return Source(readings, brdf, np.asarray(theta, dtype=np.float64), is_readings=True)
+    return ConversionSource(readings, brdf, np.asarray(theta, dtype=np.float64), is_readings=True)

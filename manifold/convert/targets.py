@@ -10,7 +10,7 @@ import numpy as np
 
 from manifold import __version__
 from manifold.brdf import goniometer
-from manifold.convert.source import LEAST_COSINE, Source
+from manifold.convert.source import LEAST_COSINE, ConversionSource
 from manifold.core.directions import from_spherical, rotate_z
 from manifold.core.errors import UsageError
 from manifold.core.names import percent
@@ -48,10 +48,10 @@ Holds = Literal["any", "RGB", "RGB or one", "one", "wavelengths"]
 """The bands that a format holds."""
 
 
-Write = Callable[[Path, "Source", "Options"], list[str]]
+Write = Callable[[Path, "ConversionSource", "Options"], list[str]]
 
 
-class Target(NamedTuple):
+class WrittenFormat(NamedTuple):
     """A format to write: its title, its suffixes, the bands that it can hold, and the function that writes it.
 
     The function writes a source and returns notes on omitted data. `keeps` names further data of readings that the
@@ -89,7 +89,7 @@ class Options(NamedTuple):
     n_theta_i: int | None = None
 
 
-def _write_rgl(path: Path, source: Source, options: Options) -> list[str]:
+def _write_rgl(path: Path, source: ConversionSource, options: Options) -> list[str]:
     if source.file is not None and options == Options():
         write_bsdf(path, source.file)
         return []
@@ -110,7 +110,7 @@ def _write_rgl(path: Path, source: Source, options: Options) -> list[str]:
     return []
 
 
-def _write_merl(path: Path, source: Source, options: Options) -> list[str]:
+def _write_merl(path: Path, source: ConversionSource, options: Options) -> list[str]:
     turns, notes = _turns(source, "MERL")
     values = np.full((np.prod(merl.SHAPE), 3), np.nan)
     start = 0
@@ -127,7 +127,7 @@ def _write_merl(path: Path, source: Source, options: Options) -> list[str]:
     return notes
 
 
-def _write_mbsdf(path: Path, source: Source, options: Options) -> list[str]:
+def _write_mbsdf(path: Path, source: ConversionSource, options: Options) -> list[str]:
     turns, notes = _turns(source, "MBSDF")
     axes = mbsdf.axes()
     theta_i, _, theta_o, phi = axes
@@ -142,7 +142,7 @@ def _write_mbsdf(path: Path, source: Source, options: Options) -> list[str]:
     return notes
 
 
-def _turns(source: Source, title: str) -> tuple[Array, list[str]]:
+def _turns(source: ConversionSource, title: str) -> tuple[Array, list[str]]:
     """Return the rotations of the sample over which an isotropic format averages, in radians, and a note on them."""
     if source.brdf.is_isotropic:
         return np.zeros(1), []
@@ -150,7 +150,7 @@ def _turns(source: Source, title: str) -> tuple[Array, list[str]]:
     return np.arange(float(_TURNS)) * (2.0 * np.pi / _TURNS), [note]
 
 
-def _reciprocal(source: Source, wi: Array, wo: Array, turns: Array) -> Array:
+def _reciprocal(source: ConversionSource, wi: Array, wo: Array, turns: Array) -> Array:
     """Return the mean over rotations, and over both directions of the light, for pairs (n, 3); shape (n, B).
 
     Of the directions, the one nearer to a measured incidence counts more.
@@ -163,7 +163,7 @@ def _reciprocal(source: Source, wi: Array, wo: Array, turns: Array) -> Array:
     return total
 
 
-def _share(a: Array, b: Array, source: Source) -> Array:
+def _share(a: Array, b: Array, source: ConversionSource) -> Array:
     """Return the weight (n,) of f(a, b) beside f(b, a) for pairs (n, 3).
 
     The weight is 1/2, except that for readings the direction nearer to a measured incidence weighs more.
@@ -178,7 +178,7 @@ def _share(a: Array, b: Array, source: Source) -> Array:
     return np.asarray(to_b / (to_a + to_b))
 
 
-def _write_utia(path: Path, source: Source, options: Options) -> list[str]:
+def _write_utia(path: Path, source: ConversionSource, options: Options) -> list[str]:
     utia.write(path, _sampled(source, utia.axes()))
     lowest = np.cos(utia.axes()[0][-1]) - 1e-6
     beyond = (np.minimum(source.nodes.wi[:, 2], source.nodes.wo[:, 2]) < lowest).mean()
@@ -186,28 +186,28 @@ def _write_utia(path: Path, source: Source, options: Options) -> list[str]:
     return [note] if beyond else []
 
 
-def _write_lighttools(path: Path, source: Source, options: Options) -> list[str]:
+def _write_lighttools(path: Path, source: ConversionSource, options: Options) -> list[str]:
     lighttools.write(path, _about_the_normal(source, _FINE if source.nodes.bands.count <= 31 else _MEDIUM))
     return []
 
 
-def _write_fred(path: Path, source: Source, options: Options) -> list[str]:
+def _write_fred(path: Path, source: ConversionSource, options: Options) -> list[str]:
     fred.write(path, _about_the_normal(source, _FINE if source.brdf.is_isotropic else _MEDIUM))
     return []
 
 
-def _write_speos(path: Path, source: Source, options: Options) -> list[str]:
+def _write_speos(path: Path, source: ConversionSource, options: Options) -> list[str]:
     steps = _FINE if source.nodes.bands.count <= 31 else _MEDIUM
     speos.write(path, _about_the_normal(source, steps, one_turn=True))
     return _one_turn(source)
 
 
-def _write_speos_anisotropic(path: Path, source: Source, options: Options) -> list[str]:
+def _write_speos_anisotropic(path: Path, source: ConversionSource, options: Options) -> list[str]:
     speos.write_anisotropic(path, _about_the_normal(source, _FINE))
     return []
 
 
-def _write_openmaterial(path: Path, source: Source, options: Options) -> list[str]:
+def _write_openmaterial(path: Path, source: ConversionSource, options: Options) -> list[str]:
     count = source.nodes.bands.count  # a row per value: a million of them are 45 MB
     steps = _FINE if count <= 3 else _MEDIUM if count <= 31 else _COARSE
     openmaterial.write(path, _about_the_normal(source, steps, one_turn=True))
@@ -217,13 +217,15 @@ def _write_openmaterial(path: Path, source: Source, options: Options) -> list[st
     ]
 
 
-def _one_turn(source: Source) -> list[str]:
+def _one_turn(source: ConversionSource) -> list[str]:
     return (
         [] if source.brdf.is_isotropic else ["one rotation of the sample is written: the format is isotropic"]
     )
 
 
-def _about_the_normal(source: Source, steps: tuple[float, float], *, one_turn: bool = False) -> DenseTable:
+def _about_the_normal(
+    source: ConversionSource, steps: tuple[float, float], *, one_turn: bool = False
+) -> DenseTable:
     """Sample the BRDF at its incidences, and at elevations and azimuths about the normal, by steps in degrees."""
     radial = np.deg2rad(np.append(np.arange(0.0, 89.0, steps[0]), 89.0))
     azimuth = np.deg2rad(np.arange(0.0, 360.0, steps[1]))
@@ -232,7 +234,7 @@ def _about_the_normal(source: Source, steps: tuple[float, float], *, one_turn: b
     return _sampled(source, (_incidences(source), phi_i, radial, azimuth))
 
 
-def _write_zemax(path: Path, source: Source, options: Options) -> list[str]:
+def _write_zemax(path: Path, source: ConversionSource, options: Options) -> list[str]:
     brdf, theta_i = source.brdf, _incidences(source)
     rotation = np.zeros(1) if brdf.is_isotropic else _AZIMUTHS
     azimuth = np.deg2rad(np.arange(0.0, 361.0, 5.0 if brdf.is_isotropic else 10.0))
@@ -248,7 +250,7 @@ def _write_zemax(path: Path, source: Source, options: Options) -> list[str]:
     return []
 
 
-def _write_astm(path: Path, source: Source, options: Options) -> list[str]:
+def _write_astm(path: Path, source: ConversionSource, options: Options) -> list[str]:
     rows = _rows(source)
     whole = np.asarray(rows.measured.all(axis=1))
     if not np.any(whole):
@@ -260,12 +262,12 @@ def _write_astm(path: Path, source: Source, options: Options) -> list[str]:
     return [f"{left_out} directions not measured in all bands are left out"] if left_out else []
 
 
-def _write_csv(path: Path, source: Source, options: Options) -> list[str]:
+def _write_csv(path: Path, source: ConversionSource, options: Options) -> list[str]:
     csv_table.write(path, _rows(source))
     return []
 
 
-def _write_bird(path: Path, source: Source, options: Options) -> list[str]:
+def _write_bird(path: Path, source: ConversionSource, options: Options) -> list[str]:
     rows = _rows(source)
     is_estimated = source.file is not None and source.file.origin != "measured"
     bird.write(path, rows, "simulation" if is_estimated else "measurement")
@@ -278,7 +280,7 @@ def _write_bird(path: Path, source: Source, options: Options) -> list[str]:
     return notes
 
 
-def _rows(source: Source) -> Readings:
+def _rows(source: ConversionSource) -> Readings:
     """Return the readings themselves, or the BRDF at the directions of a goniometer."""
     if source.is_readings:
         return source.nodes
@@ -297,7 +299,7 @@ def _rows(source: Source) -> Readings:
     )  # fmt: skip
 
 
-def _sampled(source: Source, axes: tuple[Array, Array, Array, Array]) -> DenseTable:
+def _sampled(source: ConversionSource, axes: tuple[Array, Array, Array, Array]) -> DenseTable:
     """Sample the BRDF at the product of incident and outgoing angles."""
     brdf = source.brdf
     theta_i, phi_i, theta_o, phi_o = axes
@@ -309,13 +311,13 @@ def _sampled(source: Source, axes: tuple[Array, Array, Array, Array]) -> DenseTa
     return DenseTable(nodes.name, nodes.instrument, "incident-outgoing", axes, nodes.wavelengths_nm, values)
 
 
-def _incidences(source: Source) -> Array:
+def _incidences(source: ConversionSource) -> Array:
     """Return the file's own elevations of incidence, or usual ones if it has none or very many."""
     own = source.theta_i_rad[source.theta_i_rad <= _STEEPEST]
     return own if 2 <= own.size <= _MOST_INCIDENCES else _USUAL_INCIDENCES
 
 
-def _eval(source: Source, wi: Array, wo: Array) -> Array:
+def _eval(source: ConversionSource, wi: Array, wo: Array) -> Array:
     """Return f in 1/sr, shape (..., B).
 
     Directions closer to the horizon than RGL files reach get the values at two degrees above it.
@@ -334,8 +336,8 @@ def _off_horizon(w: Array) -> Array:
     return lifted
 
 
-def _target(name: str, title: str, holds: Holds, write: Write, keeps: tuple[str, ...] = ()) -> Target:
-    return Target(title, CONVERTED_SUFFIXES[name], holds, write, keeps)
+def _target(name: str, title: str, holds: Holds, write: Write, keeps: tuple[str, ...] = ()) -> WrittenFormat:
+    return WrittenFormat(title, CONVERTED_SUFFIXES[name], holds, write, keeps)
 
 
 RGL = _target("rgl", "RGL file", "any", _write_rgl)
@@ -355,7 +357,7 @@ ASTM = _target("astm", "ASTM table", "any", _write_astm)
 CSV = _target("csv", "CSV table", "any", _write_csv, ("weights", "uncertainties", "gloss"))
 
 
-def target_of(output: Path, to: str | None) -> Target:
+def target_of(output: Path, to: str | None) -> WrittenFormat:
     """Return the format to write: `to`, one of `CONVERTED`, or the one that the suffix of the output denotes."""
     if to is not None:
         return CONVERTED[to]

@@ -349,7 +349,7 @@ def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: Colour
     sought = {ATTRIBUTES[key]: value for key, value in asked.items() if ATTRIBUTES[key] not in COLOUR}
     moved, colours = place, chosen.colours
     if sought or attributes.is_tinted:
-        search = _Search(model, tuple(sought), place.rotation_rad)
+        search = _PlaceSearch(model, tuple(sought), place.rotation_rad)
         latent = search.nearest(place.latent, factor, sought)
         colours = search.colours(latent, factor)
         moved = replace(place, latent=latent, walk=None) if sought else place
@@ -373,7 +373,7 @@ def lab_of(brdf: EvaluableBRDF) -> Array:
     return lab_of_factor(factor_of(brdf), brdf.bands)
 
 
-class _Search:
+class _PlaceSearch:
     """Looks for places of a map by attributes with a meter, in a given colour, of a sample that lies turned."""
 
     def __init__(self, model: Manifold, sought: tuple[Attribute, ...], rotation_rad: float) -> None:

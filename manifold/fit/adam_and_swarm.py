@@ -21,7 +21,7 @@ from manifold.core.records import Array, Mask
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.gauss_newton import Minimum, Residuals
 from manifold.render.bsdf_evaluation import evaluator
-from manifold.render.bsdf_parameters import BsdfFamily, Layout
+from manifold.render.bsdf_parameters import BsdfFamily, ParameterLayout
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,11 @@ def adam(family: BsdfFamily, samples: FitSamples, residuals: Residuals, options:
 
 
 def _stage(
-    layout: Layout, p: Array, free: Mask, loss: Callable[[Array], tuple[float, Array]], options: AdamOptions
+    layout: ParameterLayout,
+    p: Array,
+    free: Mask,
+    loss: Callable[[Array], tuple[float, Array]],
+    options: AdamOptions,
 ) -> tuple[Array, bool]:
     """Run Adam until the loss is constant or the epochs are over; return values (K,), and whether it was constant."""
     p = p.copy()
@@ -115,7 +119,7 @@ def _stage(
     return p, False
 
 
-def _bounds(layout: Layout) -> tuple[Array, Array]:
+def _bounds(layout: ParameterLayout) -> tuple[Array, Array]:
     """Return the ends of the ranges (K,), those of colours within [0, 1]."""
     low = np.where(layout.is_per_band, np.maximum(layout.minimum, 0.0), layout.minimum)
     return low, np.where(layout.is_per_band, np.minimum(layout.maximum, 1.0), layout.maximum)

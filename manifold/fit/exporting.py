@@ -26,7 +26,7 @@ from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource
 from manifold.fit import fit_samples, fits
 from manifold.fit.exports.direct import at_bounds, fit_target
 from manifold.fit.exports.document import Export, TextureFiles
-from manifold.fit.exports.principled_values import Principled
+from manifold.fit.exports.principled_values import PrincipledValues
 from manifold.fit.exports.targets import Target, TargetBRDF, target_of
 from manifold.fit.fit_metrics import ball_errors, missed_highlight
 from manifold.fit.fit_samples import FitSamples
@@ -35,14 +35,14 @@ from manifold.formats.recognition import FIT_SUFFIX, is_fit, is_library, is_rgl
 from manifold.io_rgl import material_name, read_bsdf
 from manifold.library.identity import file_sha256
 from manifold.library.store import Library
-from manifold.many.batch import Batch, Command, Content, Outcome
+from manifold.many.batch import Batch, BatchCommand, Content, Outcome
 from manifold.model.colours import ColourChoice
 from manifold.model.diagnostics import predict_and_diagnose
 from manifold.model.manifold import load_model
 from manifold.model.places import PlaceLike
 from manifold.pictures import figures, html_page
 from manifold.pictures import fit_comparison as comparison
-from manifold.pictures.slice_figures import Source
+from manifold.pictures.slice_figures import ShownBRDF
 from manifold.registries import TARGETS
 from manifold.render import fit_json, images
 from manifold.render.fitted_brdf import FittedBRDF
@@ -145,13 +145,13 @@ def subject_of_prediction(
         "colour": predicted.colour,
     }
     stages.begin("fitting")
-    fit = fits.document(fit_bsdf(predicted.brdf), fit_json.Source(name))
+    fit = fits.document(fit_bsdf(predicted.brdf), fit_json.FitSource(name))
     return Subject(name, source, fit, predicted.brdf, "prediction", predicted.diagnostics)
 
 
 def subject_of_file(file: BsdfFile, source: dict[str, Any]) -> Subject:
     """Fit the material of a file; plain values name its origin."""
-    fit = fits.document(fit_bsdf(file), fit_json.Source(file.name))
+    fit = fits.document(fit_bsdf(file), fit_json.FitSource(file.name))
     return Subject(file.name, source, fit, MeasuredBRDF(fill_unmeasured(file)), f"{file.origin} file")
 
 
@@ -185,7 +185,7 @@ def export(
         subject = subject_of_source(subject, against)
         stages.begin("evaluating the target's model")
     rotation_deg = subject.fit.get("rotation_deg", 0.0)
-    principled = Principled.from_fit(subject.fit["bsdf"], subject.fit["values"], rotation_deg)
+    principled = PrincipledValues.from_fit(subject.fit["bsdf"], subject.fit["values"], rotation_deg)
     start, material = target.parameters(principled), subject.truth
     is_flattened = principled.anisotropic > 0.0 and start == target.parameters(
         replace(principled, anisotropic=0.0)
@@ -214,7 +214,7 @@ def export(
     disk.write_bytes(path, target.content(made))
     if picture is not None:
         drawn = f"exported: {target.name}" + (f", {worst}" if worst else "")
-        sources = [Source(subject.against, material), Source(drawn, model)]
+        sources = [ShownBRDF(subject.against, material), ShownBRDF(drawn, model)]
         comparison.picture_of_brdfs(subject.name, sources, picture)
     if balls is not None:
         _write_balls(balls, material, model)
@@ -247,7 +247,9 @@ class ExportSource(NamedTuple):
         return {"material": self.identity}
 
 
-def exports(target: Target, *, with_pictures: bool = False, is_pack: bool = False) -> Command[ExportSource]:
+def exports(
+    target: Target, *, with_pictures: bool = False, is_pack: bool = False
+) -> BatchCommand[ExportSource]:
     """Return the command that writes the materials of `export_sources` for a target; existing files are kept.
 
     Each is drawn beside the target's model into NAME.png; a pack also has a page of balls, see `pack`.
@@ -263,7 +265,9 @@ def exports(target: Target, *, with_pictures: bool = False, is_pack: bool = Fals
     how = {"target": target.name} | ({"pack": True} if is_pack else {})
     conclude = partial(_write_index, target) if is_pack else None
     beside = partial(_pictures_of, target=target, with_pictures=with_pictures, is_pack=is_pack)
-    return Command("exports", make, how, target.suffix, columns=columns, beside=beside, conclude=conclude)
+    return BatchCommand(
+        "exports", make, how, target.suffix, columns=columns, beside=beside, conclude=conclude
+    )
 
 
 def _ball_in(implementation: str, content: Content) -> float:
@@ -271,7 +275,7 @@ def _ball_in(implementation: str, content: Content) -> float:
     return ball
 
 
-def exports_of_many(targets: Sequence[Target]) -> Command[ExportSource]:
+def exports_of_many(targets: Sequence[Target]) -> BatchCommand[ExportSource]:
     """Return the command that fits every material of `export_sources` once, and writes it for several targets."""
     columns: dict[str, Callable[[Content], Any]] = {
         f"{BALL_COLUMN}, {target.name}": partial(_ball_of, target.name) for target in targets
@@ -279,7 +283,7 @@ def exports_of_many(targets: Sequence[Target]) -> Command[ExportSource]:
     make, beside = partial(_export_many, targets=targets), partial(_files_beside, targets=targets)
     how = {"targets": [target.name for target in targets]}
     suffix = paths_for(Path(), "", targets)[0].name
-    return Command("exports", make, how, suffix, columns=columns, beside=beside)
+    return BatchCommand("exports", make, how, suffix, columns=columns, beside=beside)
 
 
 def _ball_of(target: str, content: Content) -> float:

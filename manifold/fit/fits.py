@@ -30,7 +30,7 @@ from manifold.formats.recognition import FIT_SUFFIX, is_rgl
 from manifold.io_rgl import read_bsdf
 from manifold.library.identity import file_sha256, require_material_name
 from manifold.library.store import Library
-from manifold.many.batch import PREDICTED, Command, Content, Outcome, appearance
+from manifold.many.batch import PREDICTED, BatchCommand, Content, Outcome, appearance
 from manifold.model import diagnostics
 from manifold.model.diagnostics import DiagnosedPrediction
 from manifold.model.manifold import load_model
@@ -38,7 +38,7 @@ from manifold.registries import FITTERS
 from manifold.render import fit_json
 from manifold.render.bsdf_evaluation import bsdf_dict
 from manifold.render.bsdf_parameters import BsdfFamily, default_principled, diffuse
-from manifold.render.fit_json import Source
+from manifold.render.fit_json import FitSource
 from manifold.render.fitted_brdf import FittedBRDF
 
 Measured = FileSource | LibrarySource
@@ -64,7 +64,7 @@ class FitSettings:
     def fit(
         self,
         target: BRDF | BsdfFile | FitSamples,
-        source: Source,
+        source: FitSource,
         notes: Sequence[str] = (),
     ) -> dict[str, Any]:
         """Fit a target, and return the content of the fit's JSON; its notes begin with those given."""
@@ -88,7 +88,7 @@ class FitSettings:
         )
 
 
-def document(result: FitResult, source: Source) -> dict[str, Any]:
+def document(result: FitResult, source: FitSource) -> dict[str, Any]:
     """Return a fit as plain values, which the schema describes."""
     wavelengths, own = result.bands.wavelengths_nm, result.spectra
     known = asdict(result) | {"errors": result.errors and result.errors.to_json()}
@@ -136,13 +136,13 @@ def fit(source: Path | MaterialSource, target: Path, settings: FitSettings | Non
         return Outcome(printable(name), target, measured, failure=failure)
 
 
-def fits(settings: FitSettings, *, with_pictures: bool = False) -> Command[Input]:
+def fits(settings: FitSettings, *, with_pictures: bool = False) -> BatchCommand[Input]:
     """Fit many materials, one JSON each; up-to-date fits are kept.
 
     With pictures, the fit of a whole BRDF is drawn beside its material, into NAME.fit.png.
     """
     columns = placed(FitResult.columns(), PREDICTED, before=BALL_COLUMN)
-    return Command(
+    return BatchCommand(
         "fits", partial(_fit_input, settings=settings, with_pictures=with_pictures),
         plain(settings) | {"pictures": with_pictures}, FIT_SUFFIX, columns=columns, under=BALL_COLUMN,
         has_balls=True, beside=_picture_of,
@@ -155,7 +155,7 @@ def _fit_prediction(place: PlaceSource, path: Path, settings: FitSettings) -> Ou
     stages.begin("reading materials")
     loaded.prepare()
     predicted = diagnostics.predict_and_diagnose(loaded, place.place, place.colour)
-    source = Source(
+    source = FitSource(
         name=path.name.removesuffix(".json").removesuffix(".fit"),
         latent=None if predicted.latent is None else tuple(predicted.latent.tolist()),
         walk=predicted.walk,
@@ -195,9 +195,9 @@ def _fitted(name: str, source: Measured, target: Path, settings: FitSettings) ->
     """Return the content of a fit's JSON, which is written, and whether an earlier run had written it."""
     if isinstance(source, LibrarySource):
         info = Library(source.library).attributes(source.name)
-        origin = Source(name=name, file=info.source_file, sha256=info.sha256)
+        origin = FitSource(name=name, file=info.source_file, sha256=info.sha256)
     else:
-        origin = Source(name=name, file=source.path.name, sha256=file_sha256(source.path))
+        origin = FitSource(name=name, file=source.path.name, sha256=file_sha256(source.path))
     there = _earlier(target, origin, settings)
     if there is not None:
         return there, True
@@ -206,7 +206,7 @@ def _fitted(name: str, source: Measured, target: Path, settings: FitSettings) ->
     return content, False
 
 
-def _fit(measured: Measured, source: Source, settings: FitSettings) -> dict[str, Any]:
+def _fit(measured: Measured, source: FitSource, settings: FitSettings) -> dict[str, Any]:
     """Fit a material or an instrument's file, and return the content; notes report ambiguous and omitted data."""
     if isinstance(measured, LibrarySource):
         return settings.fit(read_source(measured), source)
@@ -223,7 +223,7 @@ def _fit(measured: Measured, source: Source, settings: FitSettings) -> dict[str,
     return settings.fit(fit_samples.from_readings(readings), source, notes)
 
 
-def _earlier(target: Path, source: Source, settings: FitSettings) -> dict[str, Any] | None:
+def _earlier(target: Path, source: FitSource, settings: FitSettings) -> dict[str, Any] | None:
     """Return the fit that an earlier run wrote for the same file and settings, or None."""
     if not target.is_file():
         return None

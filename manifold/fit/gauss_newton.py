@@ -17,7 +17,7 @@ from manifold.core.records import Array, Indices, Mask
 from manifold.fit.fit_metrics import Criterion
 from manifold.fit.fit_samples import FitSamples
 from manifold.render.bsdf_evaluation import evaluator
-from manifold.render.bsdf_parameters import BsdfFamily, Layout
+from manifold.render.bsdf_parameters import BsdfFamily, ParameterLayout
 
 _BAND_ITERATIONS, _BAND_PAIRS = 20, 512  # most iterations, and pairs, of `refine_bands`
 _VALLEY = 0.2  # share of the ranges: how far to look along the flattest direction
@@ -349,7 +349,7 @@ def _along_the_valley(full: Residuals, best: Minimum, options: GaussNewton) -> l
     return [points[i] for i in lowest if costs[i] <= 1.25 * best.cost]
 
 
-def _outer_quarters(points: Array, layout: Layout) -> list[tuple[Array, tuple[Array, Array]]]:
+def _outer_quarters(points: Array, layout: ParameterLayout) -> list[tuple[Array, tuple[Array, Array]]]:
     """Return the best point in the lowest and the highest quarter of each shared parameter's range, with their ends.
 
     Where samples do not tell two kinds of material apart, the cost may fall all the way from one to the other: the

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from manifold.core.records import Array, Mask
 from manifold.fit.gauss_newton import GaussNewton, Minimum, Residuals, minimize
-from manifold.render.bsdf_parameters import FreeParameter, Layout
+from manifold.render.bsdf_parameters import FreeParameter, ParameterLayout
 
 DETERMINED = "determined"
 UNCERTAIN = "uncertain"
@@ -67,7 +67,7 @@ def as_good_limit(variance: float, n_parameters: int) -> float:
     return variance * float(chi2.ppf(_CONFIDENCE, n_parameters))
 
 
-def gauss_newton_step(layout: Layout, p: Array, residual: Array, J: Array) -> tuple[Array, float]:
+def gauss_newton_step(layout: ParameterLayout, p: Array, residual: Array, J: Array) -> tuple[Array, float]:
     """Return the step (K,) of one Gauss-Newton iteration, at most a tenth of any range, and the cost it promises.
 
     It uses residuals (n,) and their derivatives (n, K).
@@ -82,7 +82,7 @@ def gauss_newton_step(layout: Layout, p: Array, residual: Array, J: Array) -> tu
 
 
 def is_different(
-    layout: Layout, p: Array, other: Array, statements: Sequence[ParameterIdentifiability]
+    layout: ParameterLayout, p: Array, other: Array, statements: Sequence[ParameterIdentifiability]
 ) -> bool:
     """Return whether other values (K,) differ from p in a parameter that the samples determine.
 
@@ -95,7 +95,7 @@ def is_different(
 
 
 def identify_parameters(
-    layout: Layout,
+    layout: ParameterLayout,
     p: Array,
     J: Array,
     variance: float,

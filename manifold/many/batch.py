@@ -43,7 +43,7 @@ _MOST = 1 << 30  # bytes of an index: a row has about two thousand
 _ENTRY = '{"file": '  # every line of an index begins so
 
 
-class Source(Protocol):
+class BatchSource(Protocol):
     """The input of one output; small enough to be sent to another process."""
 
     @property
@@ -54,7 +54,7 @@ class Source(Protocol):
         """Return everything that the output depends on, as plain values."""
 
 
-S = TypeVar("S", bound=Source)
+S = TypeVar("S", bound=BatchSource)
 T = TypeVar("T")
 Content = dict[str, Any]
 """The content of an output, plain values."""
@@ -92,7 +92,7 @@ class Outcome(Generic[T]):
 
 
 @dataclass(frozen=True)
-class Command(Generic[S]):
+class BatchCommand(Generic[S]):
     """The definition of a command for many sources: how an output is made, and how results are shown.
 
     Attributes:
@@ -126,7 +126,7 @@ class Command(Generic[S]):
 
 
 def batch(
-    command: Command[S], sources: Sequence[S], folder: Path, workers: Executor | None = None
+    command: BatchCommand[S], sources: Sequence[S], folder: Path, workers: Executor | None = None
 ) -> Batch[S]:
     """Make the outputs of all sources that no earlier run has made from the same inputs.
 
@@ -170,7 +170,7 @@ def batch(
 
 
 def _known(
-    command: Command[S], sources: Sequence[S], folder: Path, index: OutputIndex
+    command: BatchCommand[S], sources: Sequence[S], folder: Path, index: OutputIndex
 ) -> tuple[dict[int, Outcome[S]], dict[int, Content]]:
     """Return outcomes of the sources whose outputs exist, and keys of the others, by index."""
     outcomes: dict[int, Outcome[S]] = {}
@@ -202,7 +202,7 @@ def _known(
 class Batch(Generic[S]):
     """The outputs of a command in a folder, for all sources."""
 
-    command: Command[S]
+    command: BatchCommand[S]
     folder: Path
     outcomes: list[Outcome[S]]
 

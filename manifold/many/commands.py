@@ -34,7 +34,7 @@ from manifold.many.batch import (
     MEASURED,
     PREDICTED,
     Batch,
-    Command,
+    BatchCommand,
     Content,
     appearance,
     appearance_columns,
@@ -56,7 +56,7 @@ from manifold.surface.lamp_pictures import read_workbook
 def completions_of(
     library: Path, *, correction: Path | None = None, count: int = 0, instrument: str | None = None,
     options: OutputOptions, report: Path | None = None,
-) -> Command[Sample]:  # fmt: skip
+) -> BatchCommand[Sample]:  # fmt: skip
     """Complete the samples that `inputs.find_samples` finds through a library; see `completions.complete`.
 
     `correction` is a file of `manifold calibrate`. The report is an index page; the reports of the specimens lie in
@@ -81,7 +81,7 @@ def completions_of(
         _complete, library=library, correction=correction, count=count, instrument=instrument, options=options,
         pages=pages,
     )  # fmt: skip
-    return Command(
+    return BatchCommand(
         "completions", make, how, columns=columns, under=EXPECTED_BALL, has_balls=True,
         beside=None if pages is None else partial(_report_of, pages),
         conclude=None if report is None else partial(_list_reports, report),
@@ -123,7 +123,7 @@ def _complete(
     return completed.to_json() | {"from": ", ".join(part.name for part, _ in sample.parts)} | appearance(path)
 
 
-def coats(library: Path, *, is_mixture: bool = False, options: OutputOptions) -> Command[ColourSample]:
+def coats(library: Path, *, is_mixture: bool = False, options: OutputOptions) -> BatchCommand[ColourSample]:
     """Make materials of the colours and gloss that `coat.read_colours` reads; see `coat.complete`.
 
     Mixtures combine the materials of the library; colours without a gloss are always completed by mixtures.
@@ -131,19 +131,19 @@ def coats(library: Path, *, is_mixture: bool = False, options: OutputOptions) ->
     columns = placed(coat.Coated.columns(), PREDICTED, before=EXPECTED_BALL)
     how = {"library": Library(library).content_hash, "mixture": is_mixture, **asdict(options)}
     make = partial(_complete_colour, library=library, is_mixture=is_mixture, options=options)
-    return Command("completions", make, how, columns=columns, under=EXPECTED_BALL, has_balls=True)
+    return BatchCommand("completions", make, how, columns=columns, under=EXPECTED_BALL, has_balls=True)
 
 
 def surfaces(
     library: Path, *, size: int, targets: Sequence[str], mm_per_pixel: float | None = None
-) -> Command[Sample]:
+) -> BatchCommand[Sample]:
     """Make surfaces of the samples that `inputs.find_samples` finds, of workbooks with pictures; see `make_surface`."""
     columns = PREDICTED | SurfaceFiles.columns()
     require_textured(targets)
     settings: dict[str, Any] = {"size": size, "targets": list(targets), "mm_per_pixel": mm_per_pixel}
     how = {"library": Library(library).content_hash, **settings}
     make = partial(_make_surface, library=library, **settings)
-    return Command(
+    return BatchCommand(
         "surfaces", make, how, ".json", columns=columns, under="glints", has_balls=True, beside=_textures_of
     )
 
@@ -187,12 +187,12 @@ def import_outputs(outputs: Batch[Any], library: Path) -> None:
 
 def predictions_of(
     model: Path, *, library: Path | None = None, options: OutputOptions = DEFAULT_OPTIONS
-) -> Command[Input]:
+) -> BatchCommand[Input]:
     """Predict at the places of a model that `inputs.read_points` reads; see `predictions.predict`."""
     loaded = load_model(model, library)
     suffix = "_rgb.bsdf" if loaded.bands.is_rgb else "_spec.bsdf"
     columns = _latent_columns(loaded.settings.latent_dim) | DiagnosedPrediction.columns()
-    return Command(
+    return BatchCommand(
         "predictions", partial(_predict, options=options), asdict(options), suffix, (".bsdf",), columns,
         prepare=loaded.prepare,
     )  # fmt: skip
@@ -205,7 +205,7 @@ def _predict(source: Input, path: Path, *, options: OutputOptions) -> Content:
     return predictions.predict(model, place.place, path, colour=place.colour, options=options).to_json()
 
 
-def locations(model: Path, *, library: Path | None, options: OutputOptions) -> Command[Input]:
+def locations(model: Path, *, library: Path | None, options: OutputOptions) -> BatchCommand[Input]:
     """Find the latents of measured files, and write the predictions there; see `descriptions.locate`."""
     loaded = load_model(model, library)
     columns = _latent_columns(loaded.settings.latent_dim)
@@ -213,7 +213,7 @@ def locations(model: Path, *, library: Path | None, options: OutputOptions) -> C
     content_hash = loaded.library.content_hash
     how = {"model": file_sha256(shipped.model_file(model)), "library": content_hash, **asdict(options)}
     make = partial(_locate, model=model, library=library, options=options)
-    return Command(
+    return BatchCommand(
         "locations", make, how, columns=columns, under=BALL_COLUMN, has_balls=True, is_of_measured=True
     )
 
@@ -236,12 +236,12 @@ def _locate(
 
 def reconstructions_of(
     library: Path, *, without: tuple[str, ...], numbers: int | None, options: OutputOptions
-) -> Command[Input]:
+) -> BatchCommand[Input]:
     """Reconstruct measured files from a library; see `descriptions.reconstruct`."""
     columns = placed(Reconstruction.columns(), MEASURED | PREDICTED, before=BALL_COLUMN)
     used = {"library": Library(library).content_hash, "without": sorted(without), "numbers": numbers}
     make = partial(_reconstruct, library=library, without=without, numbers=numbers, options=options)
-    return Command(
+    return BatchCommand(
         "reconstructions", make, used | asdict(options), columns=columns, under=BALL_COLUMN, has_balls=True,
         is_of_measured=True,
     )  # fmt: skip
@@ -256,7 +256,7 @@ def _shown(reconstruction: Reconstruction, source: Input, path: Path) -> Content
     return reconstruction.to_json() | measured_appearance(path, read_source(source.source)) | written
 
 
-def conversions(to: str, *, correction: Path | None = None, options: Options) -> Command[Input]:
+def conversions(to: str, *, correction: Path | None = None, options: Options) -> BatchCommand[Input]:
     """Convert files, or every sample of those with several, into one of `CONVERTED`; see `conversion.convert`."""
     target = CONVERTED[to]
     columns = placed(
@@ -267,7 +267,7 @@ def conversions(to: str, *, correction: Path | None = None, options: Options) ->
         how["correction"] = file_sha256(correction)
     suffix = next(iter(target.suffixes), f".{to}.txt")
     make = partial(_convert, to=to, correction=correction, options=options)
-    return Command("conversions", make, how, suffix, columns=columns, under="cube root", has_balls=True)
+    return BatchCommand("conversions", make, how, suffix, columns=columns, under="cube root", has_balls=True)
 
 
 def _convert(source: Input, path: Path, *, to: str, correction: Path | None, options: Options) -> Content:
@@ -281,7 +281,7 @@ def _convert(source: Input, path: Path, *, to: str, correction: Path | None, opt
 
 def renders(
     settings: RenderSettings, *, model: Path | None = None, library: Path | None = None, direct: bool = False
-) -> Command[Input]:
+) -> BatchCommand[Input]:
     """Render the balls of materials; see `pictures.renders.render`.
 
     If the materials are places of a table, all have the same model and library, and no contact sheet is drawn.
@@ -290,7 +290,7 @@ def renders(
     loaded = None if model is None else load_model(model, library)
     if loaded is not None and loaded.bands.is_rgb:
         require_d65(settings.illuminant)
-    return Command(
+    return BatchCommand(
         "renders", partial(_render, settings=settings, direct=direct),
         pictures.settings_key(settings) | {"direct": direct}, ".png", images.SUFFIXES, pictures.Rendered.columns(),
         has_balls=loaded is None, prepare=None if loaded is None else loaded.prepare,

@@ -165,9 +165,9 @@ def few_atoms(bands: Sequence[Observation], numbers: int, lambertian: int) -> Ar
     """
     atoms, seen = bands[0].atoms, np.array([band.seen for band in bands])
 
-    def search_near(fitted: Array) -> _Search:
+    def search_near(fitted: Array) -> _NumberSearch:
         slopes = np.array([band.slopes(row) for band, row in zip(bands, fitted, strict=True)])
-        return _Search(atoms, seen, slopes, lambertian)
+        return _NumberSearch(atoms, seen, slopes, lambertian)
 
     with one_blas_thread:
         search = search_near(seen)
@@ -190,7 +190,7 @@ class _Term(NamedTuple):
     is_shared: bool  # whether all bands share one weight
 
 
-class _Search:
+class _NumberSearch:
     """Least squares of a material (B, R) by few of n atoms (n, R), errors multiplied by slopes (B, R)."""
 
     def __init__(self, atoms: Array, material: Array, slopes: Array, lambertian: int) -> None:

@@ -50,7 +50,7 @@ class Context:
 
 
 @dataclass(frozen=True)
-class Command:
+class PageCommand:
     """A command that the page may call: a public function, and its arguments from a request.
 
     Attributes:
@@ -181,7 +181,7 @@ def _photographed(request: Request, context: Context, output: Path, file: Path) 
 
 
 def _schema(fields: dict[str, Any], required: Sequence[str] = (), **rules: Any) -> dict[str, Any]:
-    """Return the schema of a request that also has a name, which `Command.check` reads."""
+    """Return the schema of a request that also has a name, which `PageCommand.check` reads."""
     properties = {"name": {}, "replace": {"type": "boolean"}, **fields}
     return {"properties": properties, "required": ["name", *required], "additionalProperties": False, **rules}
 
@@ -212,21 +212,21 @@ _PHOTO = {
 
 _BSDF = "_{bands}.bsdf"
 
-COMMANDS: Registry[Command] = Registry("command of the page", {
-    "predict": Command(
+COMMANDS: Registry[PageCommand] = Registry("command of the page", {
+    "predict": PageCommand(
         "manifold.estimate.predictions:predict", _predict, _schema(_SHOWN, ["latent"]), _BSDF,
     ),
-    "render": Command(
+    "render": PageCommand(
         "manifold.pictures.renders:render",
         lambda request, context, output, file: {"source": _place(request, context), "output": output},
         _schema(_SHOWN, ["latent"]), ".png", has_picture=True,
     ),
-    "fit": Command(
+    "fit": PageCommand(
         "manifold.fit.fits:fit",
         lambda request, context, output, file: {"source": _place(request, context), "target": output},
         _schema(_SHOWN, ["latent"]), FIT_SUFFIX,
     ),
-    "export": Command(
+    "export": PageCommand(
         "manifold.fit.exporting:export",
         lambda request, context, output, file: {
             "subject": _place(request, context), "target": request["target"], "path": output,
@@ -234,7 +234,7 @@ COMMANDS: Registry[Command] = Registry("command of the page", {
         _schema({**_SHOWN, "target": {"enum": list(TARGETS)}}, ["latent", "target"]),
         "{target}",
     ),
-    "complete": Command(
+    "complete": PageCommand(
         "manifold.estimate.completions:complete",
         lambda request, context, output, file: {
             "library": context.library, "readings": file, "output": output,
@@ -243,14 +243,14 @@ COMMANDS: Registry[Command] = Registry("command of the page", {
         _schema({"sample": {"type": "string", "maxLength": _MOST_SAMPLE, "pattern": _NO_CONTROLS}}),
         ".bsdf", has_picture=True, takes_file=True,  # spectra keep their bands, whatever the library's
     ),
-    "locate": Command(
+    "locate": PageCommand(
         "manifold.estimate.descriptions:locate",
         lambda request, context, output, file: {
             "model": context.model, "path": FileSource(file), "library": context.library
         },
         _schema({}), takes_file=True,
     ),
-    "photograph": Command(
+    "photograph": PageCommand(
         "manifold.estimate.descriptions:locate_photographs", _photographed,
         _schema(
             _PHOTO, ["suffix"], oneOf=[{"required": [key]} for key in ("light", "light_bytes", "lamp")],

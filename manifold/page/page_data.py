@@ -92,7 +92,7 @@ _FILE_NODES_NM = tuple(
 
 
 @dataclass(frozen=True, eq=False)
-class Tables:
+class PageTables:
     """Materials on the pairs of a page.
 
     Attributes:
@@ -115,7 +115,7 @@ class Tables:
     thumbnails: NDArray[np.uint8]
 
 
-def tabulate(model: Manifold) -> Tables:
+def tabulate(model: Manifold) -> PageTables:
     """Evaluate the materials of a map of blends, or its landmarks, on the pairs of a page."""
     space = require_blends(model.space).of_landmarks
     pairs = tabulated_pairs()
@@ -128,7 +128,9 @@ def tabulate(model: Manifold) -> Tables:
     components = np.ascontiguousarray(np.moveaxis(roots @ inverse, 2, 1), dtype=np.float32)
     walked = [Walked.of(material) for material in materials]
     thumbnails = np.stack([_thumbnail(material, at_nodes) for material in materials])
-    return Tables(pairs, nodes, basis[at_nodes], basis[at_samples], components, walked, at_nodes, thumbnails)
+    return PageTables(
+        pairs, nodes, basis[at_nodes], basis[at_samples], components, walked, at_nodes, thumbnails
+    )
 
 
 def _thumbnail(material: MeasuredBRDF, at_nodes: Indices) -> NDArray[np.uint8]:
@@ -161,7 +163,9 @@ def packed(components: NDArray[np.float32]) -> dict[str, Any]:
     return {"first": _text(first.astype("<f2")), "ratios": _text(steps), "scales": scale.tolist()}
 
 
-def to_document(model: Manifold, tables: Tables, surfaces: Sequence[WrittenSurface] = ()) -> dict[str, Any]:
+def to_document(
+    model: Manifold, tables: PageTables, surfaces: Sequence[WrittenSurface] = ()
+) -> dict[str, Any]:
     """Return everything that a page shows, as JSON; the means of surfaces are tabulated behind the materials."""
     space, names = require_blends(model.space).of_landmarks, _landmark_names(model)
     bands, nodes = model.bands, tables.nodes
@@ -242,7 +246,7 @@ def _others(model: Manifold) -> dict[str, Any]:
     }
 
 
-def _paths(space: BlendSpace, tables: Tables) -> dict[str, Any]:
+def _paths(space: BlendSpace, tables: PageTables) -> dict[str, Any]:
     """Return the vertices of the colour paths; weights as indices of samples and values."""
     vertices = []
     for coordinates, samples, weights in space.paths.vertices:
@@ -251,7 +255,7 @@ def _paths(space: BlendSpace, tables: Tables) -> dict[str, Any]:
     return {"vertices": vertices, "last": space.paths.last, "sampleBasis": tables.sample_basis.tolist()}
 
 
-def _walks(tables: Tables) -> dict[str, Any]:
+def _walks(tables: PageTables) -> dict[str, Any]:
     """Return highlights of the materials, and the shares of every two on their walk; the first and last are 0 and 1."""
     walked, cosines = tables.walked, (tables.pairs.wi[:, 2], tables.pairs.wo[:, 2])
     lobes = [one.highlight for one in walked]

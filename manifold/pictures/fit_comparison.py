@@ -14,7 +14,7 @@ from manifold.core.records import Array, Mask
 from manifold.io_rgl import read_bsdf
 from manifold.pictures import figures, fit_figure
 from manifold.pictures.renders import RIM
-from manifold.pictures.slice_figures import Source
+from manifold.pictures.slice_figures import ShownBRDF
 from manifold.render import fit_json, images, scenes
 from manifold.render.ball import read_material, render_material
 from manifold.render.fitted_brdf import FittedBRDF
@@ -38,21 +38,26 @@ def picture_of_fit(
     renders = render_material(file, settings), read_material(fit).render(settings)
     seen, fitted = (images.tone_map(render) for render in renders)
     sources = [
-        Source(file.origin, MeasuredBRDF(file).turned(np.deg2rad(content.get("rotation_deg", 0.0)))),
-        Source(f"fitted: {content['bsdf']['type']}", FittedBRDF(content)),
+        ShownBRDF(file.origin, MeasuredBRDF(file).turned(np.deg2rad(content.get("rotation_deg", 0.0)))),
+        ShownBRDF(f"fitted: {content['bsdf']['type']}", FittedBRDF(content)),
     ]
     inside = scenes.ball_interior(settings.size, RIM)
     return _draw(content["source"]["name"], (seen, fitted), inside, sources, settings.light, output)
 
 
-def picture_of_brdfs(title: str, sources: Sequence[Source], output: Path) -> tuple[float, float]:
+def picture_of_brdfs(title: str, sources: Sequence[ShownBRDF], output: Path) -> tuple[float, float]:
     """Draw a material and its substitute, balls by quadrature in the studio, and slices."""
     (first, inside), (second, _) = (ball_image(source.brdf, _PIXELS) for source in sources)
     return _draw(title, (first, second), inside, sources, "studio", output)
 
 
 def _draw(
-    title: str, balls: tuple[Array, Array], inside: Mask, sources: Sequence[Source], light: str, output: Path
+    title: str,
+    balls: tuple[Array, Array],
+    inside: Mask,
+    sources: Sequence[ShownBRDF],
+    light: str,
+    output: Path,
 ) -> tuple[float, float]:
     """Draw the display pictures of two balls, their differences and slices."""
     delta_e, flip = images.ciede2000_map(*balls), images.flip_map(*balls)

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from manifold.core.records import Array, Mask
 from manifold.pictures.figures import in_lines, new_figure
-from manifold.pictures.slice_figures import INCIDENCES_DEG, Source, draw_slices
+from manifold.pictures.slice_figures import INCIDENCES_DEG, ShownBRDF, draw_slices
 
 _LARGEST_DELTA_E = 10.0
 
@@ -21,7 +21,7 @@ def fit_picture(
     delta_e: Array,
     flip: Array,
     inside: Mask,
-    sources: Sequence[Source],
+    sources: Sequence[ShownBRDF],
     light: str,
 ) -> Figure:
     """Draw the check of a fit: display pictures (H, W, 3), slices of material and fit, and maps of their difference.

@@ -24,7 +24,7 @@ from manifold.model.manifold import Manifold
 from manifold.model.places import Place, PlaceLike, on_line
 from manifold.model.walks import Walk
 from manifold.pictures import ball_figures, figures, map_figure, slice_figures
-from manifold.pictures.slice_figures import Source
+from manifold.pictures.slice_figures import ShownBRDF
 from manifold.render import backend, fit_json, thumbnails
 from manifold.render.fitted_brdf import FittedBRDF
 
@@ -121,12 +121,12 @@ def _end(model: Manifold, source: MaterialSource) -> BRDF:
 SliceKind = Literal["angles", "image", "spectra"]
 
 
-def sources(materials: Sequence[MaterialSource]) -> list[Source]:
+def sources(materials: Sequence[MaterialSource]) -> list[ShownBRDF]:
     """Return the BRDFs that a user names, NaN in unmeasured cells of measured ones.
 
     Materials of one label are labelled as they were given. Each model is opened once.
     """
-    found: list[tuple[str, Source]] = []
+    found: list[tuple[str, ShownBRDF]] = []
     models: dict[tuple[Path, Path | None], Manifold] = {}
     for material in materials:
         given = str(material)
@@ -135,15 +135,15 @@ def sources(materials: Sequence[MaterialSource]) -> list[Source]:
             if key not in models:
                 models[key] = Manifold.load(*key)
             made = diagnostics.predict_and_diagnose(models[key], material.place, material.colour)
-            found.append((f"predicted at {given}", Source(f"predicted at {given}", made.brdf, made)))
+            found.append((f"predicted at {given}", ShownBRDF(f"predicted at {given}", made.brdf, made)))
         elif isinstance(material, FileSource) and material.path.suffix == ".json":
             content = fit_json.read(material.path)
-            found.append((given, Source(f"{content['source']['name']}, fitted", FittedBRDF(content))))
+            found.append((given, ShownBRDF(f"{content['source']['name']}, fitted", FittedBRDF(content))))
         else:
             file = read_source(material)
             is_told = file.origin in ("measured", file.name)
             label = file.name if is_told else f"{file.name}, {file.origin}"
-            found.append((given, Source(label, MeasuredBRDF(blank_unmeasured(file)))))
+            found.append((given, ShownBRDF(label, MeasuredBRDF(blank_unmeasured(file)))))
     if not found:
         raise UsageError("no material to draw; give files, materials of a library, or places on a map")
     labels = [source.label for _, source in found]
@@ -153,7 +153,11 @@ def sources(materials: Sequence[MaterialSource]) -> list[Source]:
 
 
 def slices(
-    drawn: Sequence[Source], output: Path, *, kind: SliceKind = "angles", wavelengths_nm: Sequence[float] = ()
+    drawn: Sequence[ShownBRDF],
+    output: Path,
+    *,
+    kind: SliceKind = "angles",
+    wavelengths_nm: Sequence[float] = (),
 ) -> None:
     """Draw slices (`angles`), the Rusinkiewicz plane (`image`) or `spectra` of a few BRDFs."""
     figures.require_writable(output)

@@ -33,7 +33,7 @@ _STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)))
 
 
 @dataclass(frozen=True, eq=False)
-class Source:
+class ShownBRDF:
     """A BRDF to be drawn, with its label and, if it is predicted, the prediction."""
 
     label: str
@@ -41,7 +41,7 @@ class Source:
     prediction: DiagnosedPrediction | None = None
 
 
-def angle_slices(sources: Sequence[Source], wavelengths_nm: Sequence[float] = ()) -> Figure:
+def angle_slices(sources: Sequence[ShownBRDF], wavelengths_nm: Sequence[float] = ()) -> Figure:
     """Draw f over the outgoing angle in the plane of incidence, to 85 degrees, at incidences of 20, 40 and 60 degrees.
 
     Angles are positive on the mirror side of the normal. A row per channel of linear sRGB under D65, or per wavelength
@@ -56,7 +56,10 @@ def angle_slices(sources: Sequence[Source], wavelengths_nm: Sequence[float] = ()
 
 
 def draw_slices(
-    figure: Figure | SubFigure, grid: Array, sources: Sequence[Source], wavelengths_nm: Sequence[float] = ()
+    figure: Figure | SubFigure,
+    grid: Array,
+    sources: Sequence[ShownBRDF],
+    wavelengths_nm: Sequence[float] = (),
 ) -> None:
     """Draw `angle_slices` into axes (rows, 3) of a figure, or of a part of one."""
     rows = [f"{w:g} nm" for w in wavelengths_nm] or ["R", "G", "B"]
@@ -81,7 +84,7 @@ def draw_slices(
     _legend(figure, grid[0, 0], sources)
 
 
-def rusinkiewicz_images(sources: Sequence[Source]) -> Figure:
+def rusinkiewicz_images(sources: Sequence[ShownBRDF]) -> Figure:
     """Draw colour over theta_d (down) and theta_h (right) at phi_d = 90 degrees, the cube root of f, one image each.
 
     All images share one exposure: white is the value that 0.5 % of the values below theta_d = 75 degrees exceed, or
@@ -123,7 +126,7 @@ def rusinkiewicz_images(sources: Sequence[Source]) -> Figure:
     return figure
 
 
-def spectra_at(sources: Sequence[Source]) -> Figure:
+def spectra_at(sources: Sequence[ShownBRDF]) -> Figure:
     """Draw f over wavelength at four geometries in the plane of incidence; for RGB sources, over the channels."""
     _require_sources(sources)
     bands = sources[0].brdf.bands
@@ -151,7 +154,7 @@ def spectra_at(sources: Sequence[Source]) -> Figure:
     return figure
 
 
-def _require_sources(sources: Sequence[Source]) -> None:
+def _require_sources(sources: Sequence[ShownBRDF]) -> None:
     if not 1 <= len(sources) <= len(_COLOURS):
         raise UsageError(f"found {len(sources)} materials to draw, expected 1 to {len(_COLOURS)}")
 
@@ -187,7 +190,7 @@ def _logarithmic(row: Sequence[Axes]) -> None:
         axes.set_ylim(bottom / 1.5, top * 1.5)
 
 
-def _legend(figure: Figure | SubFigure, axes: Axes, sources: Sequence[Source]) -> None:
+def _legend(figure: Figure | SubFigure, axes: Axes, sources: Sequence[ShownBRDF]) -> None:
     lines = axes.lines[: len(sources)]
     labels = [in_lines(source.label, 80) for source in sources]
     longest = max(len(line) for label in labels for line in label.split("\n"))

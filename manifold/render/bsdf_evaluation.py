@@ -18,7 +18,7 @@ from manifold.analytic import principled
 from manifold.core.errors import RendererError, UsageError
 from manifold.core.records import Array, Indices
 from manifold.render import backend
-from manifold.render.bsdf_parameters import BsdfFamily, Layout
+from manifold.render.bsdf_parameters import BsdfFamily, ParameterLayout
 
 _LANES = 1 << 20  # lanes of one wavefront; more are evaluated one after the other
 _BLOCK = 1 << 16  # pairs times vectors that NumPy evaluates at once: what a processor's cache holds
@@ -29,7 +29,7 @@ _TINTS = ("spec_tint", "sheen_tint")
 class Evaluator(Protocol):
     """The interface that evaluates a BSDF family at M direction pairs in B bands; f_cos is in 1/sr."""
 
-    layout: Layout
+    layout: ParameterLayout
 
     def values(self, p: Array, rows: Indices | None = None) -> Array:
         """Return f_cos of parameter vectors (P, K) at all pairs or some rows of them, shape (P, M, B)."""
@@ -103,7 +103,7 @@ class AnalyticEvaluator:
     def __init__(self, family: BsdfFamily, wi: Array, wo: Array, n_bands: int) -> None:
         if n_bands != 3:
             require_independent_bands(family)
-        self.layout = Layout(family, n_bands)
+        self.layout = ParameterLayout(family, n_bands)
         model = principled.MODELS[family.type]
         self._model = model(np.asarray(wi, float), np.asarray(wo, float))
         self._n_pairs = len(wi)
@@ -254,7 +254,7 @@ class LaneEvaluator:
     """The evaluator of the LLVM backend; single precision."""
 
     def __init__(self, mi: Any, family: BsdfFamily, wi: Array, wo: Array, n_bands: int) -> None:
-        self.layout = Layout(family, n_bands)
+        self.layout = ParameterLayout(family, n_bands)
         self._mi, self._dr = mi, backend.drjit()
         slots = bsdf_keys(mi, family)
         self._textures = {

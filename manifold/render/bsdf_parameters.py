@@ -146,7 +146,7 @@ class BsdfFamily:
         return cls(content["type"], parameters, dict(content.get("fixed", {})))
 
 
-class Layout:
+class ParameterLayout:
     """The layout of a family's parameters in one vector of K numbers, for B bands.
 
     Parameters have the order of the family; a parameter per band takes B places.

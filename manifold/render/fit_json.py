@@ -154,7 +154,7 @@ PROGRAM = f"manifold {__version__}"
 
 
 @dataclass(frozen=True)
-class Source:
+class FitSource:
     """Where the fitted values come from: a measured file, or a prediction.
 
     Attributes:

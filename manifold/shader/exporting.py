@@ -28,7 +28,7 @@ from manifold.estimate.inputs import Input
 from manifold.estimate.source_files import read_source
 from manifold.estimate.sources import FileSource, MaterialSource
 from manifold.formats.recognition import FIT_SUFFIX, is_fit
-from manifold.many.batch import Batch, Command, Content, Outcome, make_folder
+from manifold.many.batch import Batch, BatchCommand, Content, Outcome, make_folder
 from manifold.model.output_file import FINE_OPTIONS
 from manifold.pictures import html_page
 from manifold.render import images
@@ -148,7 +148,7 @@ def export(
     return Outcome(made["material"], folder / LAYOUT, source, made, notes=tuple(made["notes"]))
 
 
-def exports(tolerance: float, *, with_pictures: bool = False, is_pack: bool = False) -> Command[Input]:
+def exports(tolerance: float, *, with_pictures: bool = False, is_pack: bool = False) -> BatchCommand[Input]:
     """Return the command that writes a folder per material; a pack also has a page of balls."""
     columns: dict[str, Callable[[Content], Any]] = {
         BALL_COLUMN: lambda content: content["errors"]["ball"],
@@ -159,7 +159,7 @@ def exports(tolerance: float, *, with_pictures: bool = False, is_pack: bool = Fa
     make = partial(_export, tolerance=tolerance, with_pictures=with_pictures, is_pack=is_pack)
     beside = partial(_files_of, with_pictures=with_pictures, is_pack=is_pack)
     how = {"target": TARGET, "tolerance": tolerance} | ({"pack": True} if is_pack else {})
-    return Command(
+    return BatchCommand(
         "shaders", make, how, f"/{LAYOUT}", columns=columns, beside=beside,
         conclude=_write_index if is_pack else None,
     )  # fmt: skip
@@ -194,9 +194,9 @@ def _export(
         _write_balls(folder / BALLS, shader)
     if with_pictures:
         from manifold.pictures.fit_comparison import picture_of_brdfs
-        from manifold.pictures.slice_figures import Source
+        from manifold.pictures.slice_figures import ShownBRDF
 
-        sources = [Source(shader.against, shader.source), Source("exported: shader", shader.table)]
+        sources = [ShownBRDF(shader.against, shader.source), ShownBRDF("exported: shader", shader.table)]
         picture_of_brdfs(shader.name, sources, folder / PICTURE)
     disk.write_text(path, json.dumps(layout, indent=1) + "\n")
     return layout

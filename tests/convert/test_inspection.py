@@ -161,7 +161,7 @@ def test_verification_names_what_is_damaged(copy):
 
 def test_a_fit_shows_its_material_and_parameters(tmp_path):
     content = fits.document(
-        fit_bsdf(measured(NAMES[0]), FAMILY), fit_json.Source("felt", file="felt_rgb.bsdf")
+        fit_bsdf(measured(NAMES[0]), FAMILY), fit_json.FitSource("felt", file="felt_rgb.bsdf")
     )
     fit_json.write_document(tmp_path / "felt.fit.json", content)
     found = inspect(tmp_path / "felt.fit.json")

@@ -41,7 +41,7 @@ def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("exports")
     write_bsdf(path / "copper_rgb.bsdf", measured(COPPER))
     result = fit_bsdf(measured(COPPER), principled(["base_color", "metallic", "roughness"]))
-    source = fit_json.Source("copper", file="copper_rgb.bsdf")
+    source = fit_json.FitSource("copper", file="copper_rgb.bsdf")
     fit_json.write_document(path / "copper_rgb.fit.json", fits.document(result, source))
     return path
 

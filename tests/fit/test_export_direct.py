@@ -15,13 +15,13 @@ from manifold.fit import fit_samples
 from manifold.fit.exports import blender, direct, gltf, openpbr, standard_surface
 from manifold.fit.exports.direct import _Problem, at_bounds, fit_target
 from manifold.fit.exports.document import CURVE_COSINES
-from manifold.fit.exports.principled_values import Principled
+from manifold.fit.exports.principled_values import PrincipledValues
 from manifold.fit.exports.targets import TargetBRDF
 from manifold.fit.fit_metrics import ball_errors
 from manifold.registries import TARGETS
 
-TRUTH = Principled((0.6, 0.2, 0.1), roughness=0.35, specular=0.6, clearcoat=0.6, clearcoat_gloss=0.7)
-START = Principled((0.5, 0.5, 0.5), roughness=0.6, metallic=0.2)
+TRUTH = PrincipledValues((0.6, 0.2, 0.1), roughness=0.35, specular=0.6, clearcoat=0.6, clearcoat_gloss=0.7)
+START = PrincipledValues((0.5, 0.5, 0.5), roughness=0.6, metallic=0.2)
 
 
 @pytest.fixture(autouse=True)
@@ -57,7 +57,7 @@ def test_a_material_of_the_target_is_found_again(name):
 
 def test_what_nothing_determines_stays_and_a_coat_that_is_not_there_is_none():
     target = TARGETS["gltf"]
-    metal = Principled((0.9, 0.6, 0.3), metallic=1.0, roughness=0.3)
+    metal = PrincipledValues((0.9, 0.6, 0.3), metallic=1.0, roughness=0.3)
     truth = TargetBRDF(target, target.parameters(metal))
     found = fit_target(target, target.parameters(metal), fit_samples.from_brdf(truth))
     assert found["clearcoatFactor"] == found["clearcoatRoughnessFactor"] == 0.0
@@ -71,8 +71,8 @@ def test_a_sheen_that_shows_at_the_rim_alone_is_not_made_up():
     # Narrower than principled's, it is a coloured line that hardly any sample determines.
     target = TARGETS["gltf"]
     narrow = {"sheenColorFactor": [1.0, 0.0, 0.0], "sheenRoughnessFactor": 0.05}
-    truth = TargetBRDF(target, target.parameters(Principled((0.4, 0.3, 0.1), roughness=0.5)) | narrow)
-    start = target.parameters(Principled((0.4, 0.3, 0.1), roughness=0.5))
+    truth = TargetBRDF(target, target.parameters(PrincipledValues((0.4, 0.3, 0.1), roughness=0.5)) | narrow)
+    start = target.parameters(PrincipledValues((0.4, 0.3, 0.1), roughness=0.5))
     found = fit_target(target, start, fit_samples.from_brdf(truth))
     assert found["sheenRoughnessFactor"] == 0.0 or found["sheenRoughnessFactor"] >= gltf.SHEEN_ROUGHNESS
 
@@ -91,14 +91,14 @@ VINYL = {
 def test_a_sheen_is_grey_where_its_colour_makes_up_for_something_else():
     target = TARGETS["gltf"]
     truth = TargetBRDF(TARGETS["blender"], blender.DEFAULTS | VINYL)
-    start = target.parameters(Principled((0.7, 0.05, 0.3), metallic=1.0, roughness=0.35))
+    start = target.parameters(PrincipledValues((0.7, 0.05, 0.3), metallic=1.0, roughness=0.35))
     found = fit_target(target, start, fit_samples.from_brdf(truth))
     assert len(set(found["sheenColorFactor"])) == 1
 
 
 def test_a_sheen_has_a_colour_where_all_samples_show_it():
     target = TARGETS["gltf"]
-    start = target.parameters(Principled((0.1, 0.1, 0.15), roughness=0.6))
+    start = target.parameters(PrincipledValues((0.1, 0.1, 0.15), roughness=0.6))
     red = {"sheenColorFactor": [0.9, 0.2, 0.1], "sheenRoughnessFactor": 0.6}
     found = fit_target(target, start, fit_samples.from_brdf(TargetBRDF(target, start | red)))
     np.testing.assert_allclose(found["sheenColorFactor"], red["sheenColorFactor"], atol=0.05)
@@ -107,7 +107,7 @@ def test_a_sheen_has_a_colour_where_all_samples_show_it():
 def test_highlights_of_a_dielectric_have_a_colour():
     for name, colour in (("gltf", "specularColorFactor"), ("blender", "Specular Tint")):
         target = TARGETS[name]
-        start = target.parameters(Principled((0.3, 0.3, 0.3), roughness=0.4, specular=0.9))
+        start = target.parameters(PrincipledValues((0.3, 0.3, 0.3), roughness=0.4, specular=0.9))
         violet = {colour: [0.8, 0.3, 1.0]}
         found = fit_target(target, start, fit_samples.from_brdf(TargetBRDF(target, start | violet)))
         np.testing.assert_allclose(found[colour], violet[colour], atol=0.05)
@@ -119,7 +119,7 @@ def test_a_metal_whose_edges_have_a_colour_gets_no_tinted_dielectric(metallic):
     edges = {"Specular Tint": [0.3, 0.9, 1.0], "Coat Roughness": 0.6}
     truth = TargetBRDF(TARGETS["blender"], blender.DEFAULTS | chrome | edges)
     target = TARGETS["gltf"]
-    start = target.parameters(Principled((0.55, 0.75, 0.85), metallic=0.95, roughness=0.35))
+    start = target.parameters(PrincipledValues((0.55, 0.75, 0.85), metallic=0.95, roughness=0.35))
     found = fit_target(target, start, fit_samples.from_brdf(truth))
     np.testing.assert_allclose(found["specularColorFactor"], 1.0, atol=0.1)
 
@@ -138,9 +138,9 @@ def test_a_metal_whose_edges_have_a_colour_gets_no_tinted_dielectric(metallic):
 )  # fmt: skip
 def test_a_thin_film_is_found_where_hues_change_with_the_angle(name, film):
     target = TARGETS[name]
-    metal = target.parameters(Principled((0.7, 0.6, 0.5), metallic=1.0, roughness=0.4))
+    metal = target.parameters(PrincipledValues((0.7, 0.6, 0.5), metallic=1.0, roughness=0.4))
     truth = TargetBRDF(target, metal | film)
-    start = target.parameters(Principled((0.6, 0.6, 0.6), metallic=0.8, roughness=0.5))
+    start = target.parameters(PrincipledValues((0.6, 0.6, 0.6), metallic=0.8, roughness=0.5))
     found = fit_target(target, start, fit_samples.from_brdf(truth))
 
     def difference(values):
@@ -153,10 +153,10 @@ def test_a_thin_film_is_found_where_hues_change_with_the_angle(name, film):
 
 def test_a_base_colour_by_the_angle_of_view_is_found_in_unreal():
     target = TARGETS["unreal"]
-    metal = target.parameters(Principled((0.3, 0.2, 0.5), metallic=1.0, roughness=0.4))
+    metal = target.parameters(PrincipledValues((0.3, 0.2, 0.5), metallic=1.0, roughness=0.4))
     curve = np.linspace([0.5, 0.1, 0.1], [0.05, 0.2, 0.6], len(CURVE_COSINES))
     truth = TargetBRDF(target, metal | {"BaseColorCurve": curve.ravel().tolist()})
-    start = target.parameters(Principled((0.4, 0.4, 0.4), metallic=0.8, roughness=0.5))
+    start = target.parameters(PrincipledValues((0.4, 0.4, 0.4), metallic=0.8, roughness=0.5))
     found = fit_target(target, start, fit_samples.from_brdf(truth))
     np.testing.assert_allclose(np.reshape(found["BaseColorCurve"], (-1, 3))[1:], curve[1:], atol=0.05)
     assert ball_errors(TargetBRDF(target, found), truth).ball < 0.5
@@ -166,7 +166,7 @@ def test_a_base_colour_by_the_angle_of_view_is_found_in_unreal():
 
 def test_highlights_of_usd_keep_their_hue_on_which_renderers_agree():
     """Lilac highlights over purple cloth: with a green `1 - F` the diffuse part would be right in OpenUSD alone."""
-    satin = Principled((0.25, 0.02, 0.3), roughness=0.45, specular=0.5)
+    satin = PrincipledValues((0.25, 0.02, 0.3), roughness=0.45, specular=0.5)
     truth = TargetBRDF(
         TARGETS["blender"], TARGETS["blender"].parameters(satin) | {"Specular Tint": [0.2, 1.0, 0.2]}
     )
@@ -177,7 +177,7 @@ def test_highlights_of_usd_keep_their_hue_on_which_renderers_agree():
 
 def test_parameters_at_an_end_of_their_range_are_named():
     target = TARGETS["gltf"]
-    plain = target.parameters(Principled((0.3, 0.2, 0.1), roughness=0.4, metallic=1.0))
+    plain = target.parameters(PrincipledValues((0.3, 0.2, 0.1), roughness=0.4, metallic=1.0))
     assert at_bounds(target, plain) == ()  # all metal is no bound
     assert at_bounds(target, plain | {"roughnessFactor": 0.02, "ior": 2.0}) == (
         "roughnessFactor 0.02",
@@ -212,7 +212,7 @@ def test_a_fit_of_openpbr_suits_both_programs():
     target = TARGETS["openpbr"]
     values = {"base_color": [0.7, 0.5, 0.3], "base_metalness": 0.9, "coat_weight": 1.0, "coat_roughness": 0.5}
     truth = TargetBRDF(target, target.defaults | values | {"coat_ior": 1.5}, "MaterialX")
-    start = target.parameters(Principled((0.7, 0.5, 0.3), metallic=1.0, roughness=0.5))
+    start = target.parameters(PrincipledValues((0.7, 0.5, 0.3), metallic=1.0, roughness=0.5))
     samples = fit_samples.from_brdf(truth)
     both = fit_target(target, start, samples)
     one = fit_target(replace(target, implementations={}), start, samples)
@@ -227,7 +227,7 @@ def test_a_fit_of_openpbr_suits_both_programs():
 
 def test_a_film_that_one_program_alone_shows_is_not_kept():
     target = TARGETS["openpbr"]
-    metal = target.parameters(Principled((0.7, 0.6, 0.5), metallic=1.0, roughness=0.4))
+    metal = target.parameters(PrincipledValues((0.7, 0.6, 0.5), metallic=1.0, roughness=0.4))
     film = dict(zip(openpbr.FILM, (1.0, 0.42, 1.5), strict=True))
     samples = fit_samples.from_brdf(TargetBRDF(target, metal | film))
 

@@ -29,23 +29,23 @@ from manifold.core.metrics import Errors
 from manifold.fit.exports import blender, gltf, materialx, openpbr, preview_surface, standard_surface
 from manifold.fit.exports.document import Export
 from manifold.fit.exports.lobes import ShadingPairs
-from manifold.fit.exports.principled_values import Principled
+from manifold.fit.exports.principled_values import PrincipledValues
 from manifold.fit.exports.targets import target_of
 from manifold.fit.exports.usd import OPENPBR_ID
 from manifold.registries import TARGETS
 
 NO_USD = "USD is not installed (pip install usd-exchange, or usd-core)"
-FULL = Principled(
+FULL = PrincipledValues(
     (0.8123456, 0.3, 0.05), metallic=0.3, roughness=0.4, specular=0.7, clearcoat=0.8, clearcoat_gloss=0.9, sheen=0.5,
     spec_tint=0.2, sheen_tint=0.3, anisotropic=0.6, rotation_rad=0.5,
 )  # fmt: skip
 MATERIALS = {
     "full": FULL,
-    "plain": Principled((0.8, 0.3, 0.05)),
-    "metal": Principled((0.9, 0.6, 0.3), metallic=1.0, roughness=0.2),
-    "cloth <&> \"1\"": Principled((0.1, 0.0, 0.3), sheen=1.0, specular=0.0),
-    "diffuse": Principled((0.5, 0.5, 0.5), is_diffuse=True, specular=0.0),
-    "film": Principled((0.7, 0.5, 0.4), metallic=0.4, roughness=0.3),
+    "plain": PrincipledValues((0.8, 0.3, 0.05)),
+    "metal": PrincipledValues((0.9, 0.6, 0.3), metallic=1.0, roughness=0.2),
+    "cloth <&> \"1\"": PrincipledValues((0.1, 0.0, 0.3), sheen=1.0, specular=0.0),
+    "diffuse": PrincipledValues((0.5, 0.5, 0.5), is_diffuse=True, specular=0.0),
+    "film": PrincipledValues((0.7, 0.5, 0.4), metallic=0.4, roughness=0.3),
 }  # fmt: skip
 FILMS = {
     "openpbr": dict(zip(openpbr.FILM, (0.7, 0.38, 1.6), strict=True)),

@@ -21,11 +21,11 @@ from manifold.fit.exports import (
     unreal,
 )
 from manifold.fit.exports.lobes import ShadingPairs
-from manifold.fit.exports.principled_values import Principled
+from manifold.fit.exports.principled_values import PrincipledValues
 from manifold.render.bsdf_evaluation import evaluator
 from manifold.render.bsdf_parameters import diffuse, principled
 
-FULL = Principled(
+FULL = PrincipledValues(
     (0.8, 0.3, 0.05), metallic=0.3, roughness=0.4, specular=0.7, clearcoat=0.8, clearcoat_gloss=0.9, sheen=0.5,
     spec_tint=0.2, sheen_tint=0.3, anisotropic=0.6, rotation_rad=0.5,
 )  # fmt: skip
@@ -65,7 +65,7 @@ def test_a_rough_metal_in_gltf_is_principled_s_but_for_masking_and_what_scatters
         "anisotropic": anisotropic,
     }
     expected = mitsuba(principled(values), values, view, light)
-    material = Principled((0.9, 0.5, 0.1), metallic=1.0, roughness=roughness, anisotropic=anisotropic)
+    material = PrincipledValues((0.9, 0.5, 0.1), metallic=1.0, roughness=roughness, anisotropic=anisotropic)
     surface = GGX.anisotropic(*material.alphas)
     alone = [2.0 / (1.0 + surface.stretched_length(each) / each[:, 2]) for each in (view, light)]
     correlated = 1.0 / (1.0 / alone[0] + 1.0 / alone[1] - 1.0)  # Heitz 2014, eq. 99
@@ -81,7 +81,7 @@ def test_a_film_in_gltf_has_the_colour_of_the_viewer_s_angle_and_leaves_the_diff
     view = np.broadcast_to(from_spherical(0.9, 0.0), (2, 3))
     light = from_spherical(np.array([0.1, 1.3]), np.array([1.0, 3.0]))
     film = dict(zip(gltf.FILM, (1.0, 400.0, 1.7), strict=True))
-    black, grey = (gltf.parameters(Principled((c, c, c), roughness=0.6)) for c in (0.0, 0.5))
+    black, grey = (gltf.parameters(PrincipledValues((c, c, c), roughness=0.6)) for c in (0.0, 0.5))
     pairs = ShadingPairs.of(view, light)
     reflected = gltf.brdf(black | film, pairs) / lobes.specular_joint(pairs, 0.36, 0.36)[:, None]
     np.testing.assert_allclose(reflected[0], reflected[1], rtol=1e-9)  # whatever the light
@@ -105,7 +105,7 @@ def test_other_metals_are_principled_s_but_for_masking_and_what_scatters_between
     values = {"base_color": [0.9, 0.5, 0.1], "roughness": 0.3, "metallic": 1.0}
     expected = mitsuba(principled(values), values, view, light)
     for target in TARGETS.values():
-        made = target.parameters(Principled((0.9, 0.5, 0.1), metallic=1.0, roughness=0.3))
+        made = target.parameters(PrincipledValues((0.9, 0.5, 0.1), metallic=1.0, roughness=0.3))
         found = target.brdf(made, ShadingPairs.of(view, light))
         limit = 0.1 if target.name == "standard-surface" else 0.05  # a conductor's Fresnel term
         assert np.median(np.abs(found / expected - 1.0)) < limit, target.name
@@ -118,7 +118,7 @@ def test_a_diffuse_surface_is_lambertian(name, rng):
     target = TARGETS[name]
     view, light = directions(rng, 200), directions(rng, 200)
     expected = mitsuba(diffuse(), {"reflectance": [0.5, 0.3, 0.1]}, view, light)
-    material = Principled.from_fit({"type": "diffuse"}, {"reflectance": [0.5, 0.3, 0.1]})
+    material = PrincipledValues.from_fit({"type": "diffuse"}, {"reflectance": [0.5, 0.3, 0.1]})
     found = target.brdf(target.parameters(material), ShadingPairs.of(view, light))
     if target.name.startswith(("usd", "openpbr")):  # at grazing they reflect whatever the index
         steep = (view[:, 2] > 0.85) & (light[:, 2] > 0.85)
@@ -130,7 +130,7 @@ def test_a_diffuse_surface_is_lambertian(name, rng):
 @pytest.mark.parametrize("target", TARGETS.values(), ids=lambda target: target.name)
 def test_no_target_makes_light(target):
     light, solid_angle = hemisphere()
-    white = Principled((1.0, 1.0, 1.0), roughness=0.6, clearcoat=1.0, clearcoat_gloss=0.2, sheen=1.0)
+    white = PrincipledValues((1.0, 1.0, 1.0), roughness=0.6, clearcoat=1.0, clearcoat_gloss=0.2, sheen=1.0)
     for cosine in (0.2, 0.6, 1.0):
         view = np.broadcast_to([np.sqrt(1.0 - cosine**2), 0.0, cosine], light.shape)
         f = target.brdf(target.parameters(white), ShadingPairs.of(view, light))
@@ -144,7 +144,7 @@ def test_no_target_makes_light(target):
 @pytest.mark.parametrize("name", ["gltf", "openpbr", "blender", "unity"])
 def test_a_rough_white_metal_loses_nothing_where_light_scatters_between_facets(name):
     light, solid_angle = hemisphere(128)
-    values = TARGETS[name].parameters(Principled((1.0, 1.0, 1.0), metallic=1.0, roughness=0.8))
+    values = TARGETS[name].parameters(PrincipledValues((1.0, 1.0, 1.0), metallic=1.0, roughness=0.8))
     for cosine in (0.2, 0.6, 1.0):
         view = np.broadcast_to([np.sqrt(1.0 - cosine**2), 0.0, cosine], light.shape)
         albedo = (
@@ -190,7 +190,7 @@ def test_the_diffuse_of_unity_is_burley_s_and_its_coat_is_sharp():
 
 
 def test_a_coat_in_unity_leaves_the_base_as_rough_as_it_was():
-    coated = Principled((0.5, 0.5, 0.5), roughness=0.4, clearcoat=1.0, clearcoat_gloss=1.0)
+    coated = PrincipledValues((0.5, 0.5, 0.5), roughness=0.4, clearcoat=1.0, clearcoat_gloss=1.0)
     made = unity.parameters(coated)
     assert made["_CoatMask"] == 0.5
     assert made["_Smoothness"] > 0.6
@@ -222,7 +222,9 @@ def test_fuzz_integrates_to_its_albedo():
 
 
 def test_openpbr_under_a_coat_has_the_roughness_that_was_wanted():
-    made = openpbr.parameters(Principled((0.5, 0.5, 0.5), roughness=0.4, clearcoat=1.0, clearcoat_gloss=0.5))
+    made = openpbr.parameters(
+        PrincipledValues((0.5, 0.5, 0.5), roughness=0.4, clearcoat=1.0, clearcoat_gloss=0.5)
+    )
     added = 2.0 * made["coat_roughness"] ** 4
     roughened = openpbr.roughened(made["specular_roughness"], added, made["coat_weight"])
     assert made["specular_roughness"] < 0.4
@@ -242,7 +244,7 @@ def test_the_coat_has_the_peak_of_mitsuba_s(rng):
     both = mitsuba(principled(values), values, up, up) - mitsuba(
         principled(values), values | {"clearcoat": 0.0}, up, up
     )
-    material = Principled((0.0, 0.0, 0.0), clearcoat=1.0, clearcoat_gloss=0.6)
+    material = PrincipledValues((0.0, 0.0, 0.0), clearcoat=1.0, clearcoat_gloss=0.6)
     alpha = material.coat_alpha
     coat = 0.04 * lobes.specular_joint(ShadingPairs.of(up, up), alpha, alpha)
     assert coat[0] == pytest.approx(both[0, 0], rel=2e-3)
@@ -277,9 +279,11 @@ def test_sheens_have_mitsuba_s_albedo():
 def test_parameters_stay_in_the_ranges_of_the_targets(rng):
     for _ in range(50):
         values = {
-            name: float(rng.uniform()) for name in Principled.__dataclass_fields__ if name != "is_diffuse"
+            name: float(rng.uniform())
+            for name in PrincipledValues.__dataclass_fields__
+            if name != "is_diffuse"
         }
-        material = Principled(**values | {"base_color": tuple(rng.uniform(size=3))})
+        material = PrincipledValues(**values | {"base_color": tuple(rng.uniform(size=3))})
         for target in TARGETS.values():
             made = target.parameters(material)
             assert made.keys() == target.defaults.keys()
@@ -297,7 +301,7 @@ def test_parameters_stay_in_the_ranges_of_the_targets(rng):
 
 
 def test_what_a_fit_left_at_principled_s_defaults_is_at_the_target_s():
-    plain = Principled((0.5, 0.4, 0.3), roughness=0.35)
+    plain = PrincipledValues((0.5, 0.4, 0.3), roughness=0.35)
     for target in TARGETS.values():
         made = target.parameters(plain)
         moved = {key for key, value in made.items() if value != target.defaults[key]}
@@ -307,7 +311,7 @@ def test_what_a_fit_left_at_principled_s_defaults_is_at_the_target_s():
 
 def test_values_at_the_end_of_a_range_are_the_end_and_colours_are_clipped():
     values = {"base_color": [-0.2, 0.5, 1.2], "clearcoat": 4e-10, "metallic": 0.99999, "roughness": 0.3}
-    made = Principled.from_fit({"type": "principled"}, values)
+    made = PrincipledValues.from_fit({"type": "principled"}, values)
     assert made.base_color == (0.0, 0.5, 1.0)
     assert (made.clearcoat, made.metallic) == (0.0, 1.0)
 
@@ -317,7 +321,7 @@ def test_values_at_the_end_of_a_range_are_the_end_and_colours_are_clipped():
 )
 def test_what_engines_do_not_have_is_refused(kind):
     with pytest.raises(UsageError, match=r"spec_trans|roughconductor"):
-        Principled.from_fit(kind, {"base_color": [0.5] * 3})
+        PrincipledValues.from_fit(kind, {"base_color": [0.5] * 3})
 
 
 def test_light_and_viewer_may_be_exchanged_where_the_model_is_reciprocal(rng):

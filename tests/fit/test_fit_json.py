@@ -122,7 +122,7 @@ def test_a_spectral_fit_loads_in_a_spectral_variant():
     result = fit_bsdf(
         FitSamples.from_arrays(pairs[0], pairs[1], f, bands=bands), principled(["base_color", "roughness"])
     )
-    content = fits.document(result, fit_json.Source("flat"))
+    content = fits.document(result, fit_json.FitSource("flat"))
     mi = backend.mitsuba(colour="spectral")
     try:
         assert isinstance(mi.load_dict(content["mitsuba_spectral"]), mi.BSDF)
@@ -270,7 +270,7 @@ def test_spectral_values_must_agree_with_what_is_rendered():
     bands = Bands((450.0, 550.0, 650.0))
     wi = wo = np.array([[0.0, np.sin(t), np.cos(t)] for t in np.linspace(0.0, 1.2, 12)])
     samples = FitSamples.from_arrays(wi, wo, np.tile([0.05, 0.1, 0.2], (12, 1)), bands=bands)
-    made = fits.document(fit_bsdf(samples, diffuse()), fit_json.Source("flat"))
+    made = fits.document(fit_bsdf(samples, diffuse()), fit_json.FitSource("flat"))
     made = json.loads(json.dumps(made))
     fit_json.require_fit(made, "x.json")
     for change, words in (

@@ -29,7 +29,7 @@ from manifold.fit.identifiability import AMBIGUOUS, DETERMINED, UNSEEN
 from manifold.fit.principled import fit_bsdf
 from manifold.render import backend
 from manifold.render.bsdf_evaluation import LaneEvaluator, evaluator
-from manifold.render.bsdf_parameters import BsdfFamily, FreeParameter, Layout, principled
+from manifold.render.bsdf_parameters import BsdfFamily, FreeParameter, ParameterLayout, principled
 
 OLD_SENSORS_DEG = (
     (60, 0), (30, 0), (0, 0), (30, 180), (65, 180), (45, 60), (45, 120), (30, 90), (60, 60), (60, 120),
@@ -108,7 +108,7 @@ def test_forward_derivatives_agree_with_differences(n_bands, rng):
 
 def test_random_truths_are_recovered_where_the_fit_says_so(rng):
     family = principled()
-    layout = Layout(family, 3)
+    layout = ParameterLayout(family, 3)
     pairs = grid_pairs(5)
     whole = evaluator(family, *pairs, 3)
     low, high = np.maximum(layout.minimum, 0.02), np.minimum(layout.maximum, 0.98)
@@ -546,7 +546,7 @@ def test_bad_requests_are_one_clear_error_each(call, words):
 
 
 def test_transforms_invert_and_their_slopes_agree_with_differences():
-    layout = Layout(principled(), 3)
+    layout = ParameterLayout(principled(), 3)
     p = np.random.default_rng(0).uniform(layout.minimum + 0.1, layout.maximum - 0.1)
     t = layout.inward(p)
     np.testing.assert_allclose(layout.outward(t), p, rtol=1e-12)

@@ -19,7 +19,7 @@ from manifold.estimate.inputs import Input, find_inputs, find_samples
 from manifold.estimate.instruments import calibrate
 from manifold.estimate.sources import FileSource, PlaceSource
 from manifold.library import staging
-from manifold.many.batch import Command, SheetWarning, _Made, ball_path, batch
+from manifold.many.batch import BatchCommand, SheetWarning, _Made, ball_path, batch
 from manifold.model.colours import ColourChoice
 from manifold.pictures import figures
 
@@ -37,7 +37,7 @@ class Word(NamedTuple):
 
 
 def command(make, **settings):
-    return Command("words", make, {}, ".txt", columns=COLUMNS, **settings)
+    return BatchCommand("words", make, {}, ".txt", columns=COLUMNS, **settings)
 
 
 def run(folder, names, make, workers=None, **settings):
@@ -133,7 +133,7 @@ def test_a_folder_is_one_runs_at_a_time(tmp_path):
         with pytest.raises(UsageError, match="another run writes to this folder; wait until it is done"):
             run(tmp_path, ["b"], written)
         with pytest.raises(UsageError, match="another run writes to this folder"):  # whatever it writes
-            batch(Command("letters", written, {}), [], tmp_path)
+            batch(BatchCommand("letters", written, {}), [], tmp_path)
         return written(name, path)
 
     (outcome,) = run(tmp_path, ["a"], make)

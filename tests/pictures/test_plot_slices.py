@@ -23,7 +23,7 @@ from manifold.pictures.comparison_figure import comparison
 from manifold.pictures.maps import slices, sources
 from manifold.pictures.slice_figures import (
     INCIDENCES_DEG,
-    Source,
+    ShownBRDF,
     angle_slices,
     rusinkiewicz_images,
     spectra_at,
@@ -34,12 +34,12 @@ BANDS = Bands((450.0, 550.0, 650.0))
 
 @pytest.fixture(scope="module")
 def gloss():
-    return Source("gloss", MeasuredBRDF(measured("syn_gloss_red")))
+    return ShownBRDF("gloss", MeasuredBRDF(measured("syn_gloss_red")))
 
 
 @pytest.fixture(scope="module")
 def felt():
-    return Source("felt", MeasuredBRDF(measured("syn_felt_green")))
+    return ShownBRDF("felt", MeasuredBRDF(measured("syn_felt_green")))
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +64,9 @@ def test_the_highlight_stands_in_the_mirror_direction(gloss):
 def test_slices_of_a_diffuser_are_level_to_their_ends():
     """Beyond them f = f_cos / cos of its file rises, because linear interpolation does not vanish at the horizon."""
     diffuser = MeasuredBRDF(goniometer.measure(Lambert(0.5, BANDS), "diffuse"))
-    lines = [axes.lines[0].get_data() for axes in angle_slices([Source("diffuse", diffuser)], [550.0]).axes]
+    lines = [
+        axes.lines[0].get_data() for axes in angle_slices([ShownBRDF("diffuse", diffuser)], [550.0]).axes
+    ]
     assert all(np.ptp(x) == 170.0 for x, _ in lines)
     np.testing.assert_allclose([y for _, y in lines], 0.5 / np.pi, rtol=0.2)  # the last degrees: 15 %
     beyond = diffuser.eval(from_spherical(np.deg2rad(20.0), 0.0), from_spherical(np.deg2rad(89.0), np.pi))
@@ -119,7 +121,7 @@ def test_every_material_has_its_line_its_style_and_its_name(felt, gloss):
 
 
 def test_bands_take_the_place_of_colours():
-    grey = Source("grey", Lambert(np.array([0.1, 0.2, 0.4]), BANDS))
+    grey = ShownBRDF("grey", Lambert(np.array([0.1, 0.2, 0.4]), BANDS))
     figure = angle_slices([grey], [450.0, 650.0])
     assert len(figure.axes) == 2 * len(INCIDENCES_DEG)
     np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata(), 0.1 / np.pi)
@@ -127,7 +129,7 @@ def test_bands_take_the_place_of_colours():
 
 
 def test_spectra_are_those_of_the_material():
-    grey = Source("grey", Lambert(np.array([0.1, 0.2, 0.4]), BANDS))
+    grey = ShownBRDF("grey", Lambert(np.array([0.1, 0.2, 0.4]), BANDS))
     for axes in spectra_at([grey]).axes:
         np.testing.assert_allclose(axes.lines[0].get_xdata(), BANDS.wavelengths_nm)
         np.testing.assert_allclose(axes.lines[0].get_ydata(), np.array([0.1, 0.2, 0.4]) / np.pi)
@@ -140,7 +142,7 @@ def test_spectra_are_highest_in_the_mirror_direction(gloss):
 
 
 def test_what_cannot_be_drawn_is_refused(gloss):
-    grey = Source("grey", Lambert(np.array([0.1, 0.2, 0.4]), BANDS))
+    grey = ShownBRDF("grey", Lambert(np.array([0.1, 0.2, 0.4]), BANDS))
     with pytest.raises(UsageError, match="1 to 6"):
         angle_slices([gloss] * 7)
     with pytest.raises(UsageError, match="RGB"):

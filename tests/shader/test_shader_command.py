@@ -134,7 +134,7 @@ def test_a_place_and_a_material_of_the_library_become_shaders(tmp_path):
 
 def test_a_fit_becomes_a_shader(tmp_path):
     result = fit_bsdf(measured("syn_metal_copper"), principled(["base_color", "metallic", "roughness"]))
-    fit_json.write_document(tmp_path / "copper.fit.json", fits.document(result, fit_json.Source("copper")))
+    fit_json.write_document(tmp_path / "copper.fit.json", fits.document(result, fit_json.FitSource("copper")))
     outcome = run("export", tmp_path / "copper.fit.json", "--target", "shader", "-o", tmp_path / "copper")
     assert outcome.exit_code == 0, outcome.output
     layout = json.loads((tmp_path / "copper" / "manifold.json").read_text())

@@ -40,7 +40,7 @@ from engines.balls import BALL, EDGE, Pictures, Scene, y_up  # noqa: E402
 from manifold.core.metrics import Errors  # noqa: E402
 from manifold.fit import exporting  # noqa: E402
 from manifold.fit.exports.document import Export  # noqa: E402
-from manifold.fit.exports.principled_values import Principled  # noqa: E402
+from manifold.fit.exports.principled_values import PrincipledValues  # noqa: E402
 from manifold.fit.exports.targets import Target, TargetBRDF  # noqa: E402
 from manifold.registries import TARGETS  # noqa: E402
 
@@ -176,7 +176,7 @@ def exports(files: dict[str, Path], target: Target, work: Path, written: Writer 
         if not said.exists():
             said.write_text(json.dumps(written(_subject(file), target, path)), encoding="utf-8")
         made[name] = json.loads(said.read_text(encoding="utf-8")) | {"path": path}
-    material = Principled((1.0, 1.0, 1.0), specular=0.0, is_diffuse=True)
+    material = PrincipledValues((1.0, 1.0, 1.0), specular=0.0, is_diffuse=True)
     white = Export(
         WHITE,
         target.name,

@@ -13,7 +13,7 @@ from manifold.core.records import Array
 from manifold.fit.exports import lobes, openpbr
 from manifold.fit.exports.document import Export, Parameter, defaults, tint_parameter
 from manifold.fit.exports.lobes import ShadingPairs, per_pairs, zeltner_layer
-from manifold.fit.exports.principled_values import Principled, ior_to_f0
+from manifold.fit.exports.principled_values import PrincipledValues, ior_to_f0
 from manifold.fit.exports.targets import FLAKES, Target
 from manifold.fit.exports.thin_film import film_over_f82, film_over_index_cycles
 
@@ -113,7 +113,7 @@ links.new(parts.outputs["Green"], shader.inputs["Coat Roughness"])
 _NAME_BYTES = 63  # that Blender 4 keeps of a name; with more, a script would not find its material again
 
 
-def parameters(material: Principled) -> dict[str, Any]:
+def parameters(material: PrincipledValues) -> dict[str, Any]:
     """Return the values of the sockets, all of `DEFAULTS`. Sheen is Zeltner's, as in OpenPBR's fuzz."""
     made = DEFAULTS | {
         "Base Color": list(material.base_color),

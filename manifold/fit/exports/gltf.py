@@ -13,7 +13,7 @@ from manifold.core.records import Array
 from manifold.fit.exports import lobes
 from manifold.fit.exports.document import Parameter, defaults, tint_parameter
 from manifold.fit.exports.lobes import ShadingPairs, per_pairs
-from manifold.fit.exports.principled_values import Principled, ior_to_f0
+from manifold.fit.exports.principled_values import PrincipledValues, ior_to_f0
 from manifold.fit.exports.thin_film import film_over_f0
 
 SHEEN_SCALE, SHEEN_ROUGHNESS = 0.124, 0.375  # nearest in directional albedo
@@ -57,7 +57,7 @@ _LAMBDA_ROUGH = np.array([21.5473, 3.82987, 0.19823, -1.97760, -4.32054])
 _LAMBDA_SMOOTH = np.array([25.3245, 3.32435, 0.16801, -1.27393, -4.85967])
 
 
-def parameters(material: Principled) -> dict[str, Any]:
+def parameters(material: PrincipledValues) -> dict[str, Any]:
     """Return the parameters that start a fit, all of `DEFAULTS`."""
     alpha_x, alpha_y = material.alphas
     made = DEFAULTS | {

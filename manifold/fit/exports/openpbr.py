@@ -12,7 +12,7 @@ from manifold.core.records import Array
 from manifold.fit.exports import lobes
 from manifold.fit.exports.document import Parameter, defaults, tint_parameter
 from manifold.fit.exports.lobes import ShadingPairs, dielectric_layer, metal, per_pairs, zeltner_layer
-from manifold.fit.exports.principled_values import Principled, ior_to_f0
+from manifold.fit.exports.principled_values import PrincipledValues, ior_to_f0
 from manifold.fit.exports.thin_film import film_over_f82_materialx, film_over_index
 
 FUZZ_SCALE, FUZZ_ROUGHNESS = 0.126, 0.45  # nearest in directional albedo
@@ -48,7 +48,7 @@ SHEEN = ("fuzz_weight", "fuzz_color", "fuzz_roughness")
 FILM = ("thin_film_weight", "thin_film_thickness", "thin_film_ior")
 
 
-def parameters(material: Principled) -> dict[str, Any]:
+def parameters(material: PrincipledValues) -> dict[str, Any]:
     """Return the parameters that start a fit, all of `DEFAULTS`."""
     made = DEFAULTS | {
         "base_color": list(material.base_color),

@@ -11,7 +11,7 @@ from manifold.core.records import Array
 from manifold.fit.exports import lobes
 from manifold.fit.exports.document import Parameter, defaults
 from manifold.fit.exports.lobes import ShadingPairs, per_pairs
-from manifold.fit.exports.principled_values import Principled, ior_to_f0
+from manifold.fit.exports.principled_values import PrincipledValues, ior_to_f0
 
 PARAMETERS = {
     "useSpecularWorkflow": Parameter(0),
@@ -38,7 +38,7 @@ of them.
 _IOR = 1.5  # the default, which here is the coat's alone
 
 
-def parameters(material: Principled) -> dict[str, Any]:
+def parameters(material: PrincipledValues) -> dict[str, Any]:
     """Return parameters of a material, all of `DEFAULTS`; sheen and anisotropy have no counterpart.
 
     The specular workflow: with the metallic one a material of metallic 0.3 would reflect 0.3 of white.

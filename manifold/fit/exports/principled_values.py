@@ -16,7 +16,7 @@ _END = 1e-4  # values nearer than this to an end of their range are set to the e
 
 
 @dataclass(frozen=True)
-class Principled:
+class PrincipledValues:
     """An opaque surface of Mitsuba's `principled`; defaults are Mitsuba's.
 
     Attributes:
@@ -45,7 +45,7 @@ class Principled:
     @classmethod
     def from_fit(
         cls, bsdf: Mapping[str, Any], values: Mapping[str, Any], rotation_deg: float = 0.0
-    ) -> Principled:
+    ) -> PrincipledValues:
         """Return the values of a fit, base colours clipped to 0 to 1.
 
         Args:

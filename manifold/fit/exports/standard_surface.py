@@ -12,7 +12,7 @@ from manifold.core.records import Array
 from manifold.fit.exports import lobes
 from manifold.fit.exports.document import Parameter, defaults, tint_parameter
 from manifold.fit.exports.lobes import ShadingPairs, dielectric_layer, imageworks_layer, metal, per_pairs
-from manifold.fit.exports.principled_values import Principled
+from manifold.fit.exports.principled_values import PrincipledValues
 from manifold.fit.exports.thin_film import film_over_index
 
 SHEEN_SCALE, SHEEN_ROUGHNESS = 0.091, 0.125  # nearest in directional albedo
@@ -46,7 +46,7 @@ SHEEN = ("sheen", "sheen_color", "sheen_roughness")
 FILM = ("thin_film_thickness", "thin_film_IOR")
 
 
-def parameters(material: Principled) -> dict[str, Any]:
+def parameters(material: PrincipledValues) -> dict[str, Any]:
     """Return the parameters that start a fit, all of `DEFAULTS`."""
     made = DEFAULTS | {
         "base_color": list(material.base_color),

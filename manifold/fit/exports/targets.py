@@ -13,7 +13,7 @@ from manifold.core.errors import UsageError
 from manifold.core.records import Array, Bands
 from manifold.fit.exports.document import Export, Parameter, defaults
 from manifold.fit.exports.lobes import ShadingPairs
-from manifold.fit.exports.principled_values import Principled
+from manifold.fit.exports.principled_values import PrincipledValues
 from manifold.registries import EXPORTS_IN_WORDS
 from manifold.registries import TARGETS as TARGETS
 
@@ -65,7 +65,7 @@ class Target:
     suffix: str
     title: str
     entries: Mapping[str, Parameter]
-    parameters: Callable[[Principled], dict[str, Any]]
+    parameters: Callable[[PrincipledValues], dict[str, Any]]
     brdf: Brdf
     content: Content
     base_colour: str

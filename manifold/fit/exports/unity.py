@@ -12,7 +12,7 @@ from manifold.core.records import Array
 from manifold.fit.exports import lobes
 from manifold.fit.exports.document import Parameter, defaults
 from manifold.fit.exports.lobes import ShadingPairs
-from manifold.fit.exports.principled_values import Principled
+from manifold.fit.exports.principled_values import PrincipledValues
 from manifold.fit.exports.targets import Target, uncompared
 
 PARAMETERS = {
@@ -43,7 +43,7 @@ _SMOOTH_COAT = 0.1  # GGX alpha: a rougher coat would turn into a sharp highligh
 _COAT_ALPHA, _F0 = 0.01, 0.04
 
 
-def parameters(material: Principled) -> dict[str, Any]:
+def parameters(material: PrincipledValues) -> dict[str, Any]:
     """Return the properties of a material, all of `DEFAULTS`; reflectance at normal incidence is Unity's 0.04."""
     roughness, anisotropy = material.around_mean
     coat = material.coat_weight if material.coat_alpha <= _SMOOTH_COAT else 0.0

@@ -11,7 +11,7 @@ from manifold.core.records import Array
 from manifold.fit.exports import lobes
 from manifold.fit.exports.document import CURVE_COSINES, Parameter, defaults
 from manifold.fit.exports.lobes import ShadingPairs
-from manifold.fit.exports.principled_values import Principled
+from manifold.fit.exports.principled_values import PrincipledValues
 from manifold.fit.exports.targets import Target, uncompared
 
 PARAMETERS = {
@@ -53,7 +53,7 @@ def shading_model(values: Mapping[str, Any]) -> str:
     return "Clear Coat" if values["ClearCoat"] > 0.0 else "Default Lit"
 
 
-def parameters(material: Principled) -> dict[str, Any]:
+def parameters(material: PrincipledValues) -> dict[str, Any]:
     """Return the inputs of a material, all of `DEFAULTS`; sheen and tints have no counterpart."""
     roughness, anisotropy = material.around_mean
     return (

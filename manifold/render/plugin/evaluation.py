@@ -19,7 +19,7 @@ from manifold.render.plugin.warp import Family, PackedWarps, Slices, bisect
 
 
 @dataclass(frozen=True, eq=False)
-class Lobes:
+class LobeSums:
     """Common sums over the materials at the latents of all lanes.
 
     Attributes:
@@ -50,7 +50,7 @@ class VaryingWeights:
             inverse = np.linalg.inv(self._gp.K)[np.ix_(order, order)]
             self._inverse_K, self._column_sums = mi.Float64(inverse.ravel()), mi.Float64(inverse.sum(axis=0))
 
-    def at(self, latent: list[Any]) -> Lobes:
+    def at(self, latent: list[Any]) -> LobeSums:
         """Return the common part of the weights at latents, Q arrays."""
         dr = self._dr
         x = [self._mi.Float64(v) for v in dr.detach(latent)]
@@ -58,7 +58,7 @@ class VaryingWeights:
         lobes = self._of_blend(x, has_slopes) if self._is_blend else self._of_posterior(x, has_slopes)
         return replace(lobes, offsets=[v - dr.detach(v) for v in latent]) if has_slopes else lobes
 
-    def weight(self, lobes: Lobes, j: Any) -> tuple[Any, list[Any]]:
+    def weight(self, lobes: LobeSums, j: Any) -> tuple[Any, list[Any]]:
         """Return the weight of material j, and its slopes by the latents if `lobes` has slopes."""
         mi, dr = self._mi, self._dr
         has_slopes = len(lobes.slopes) > 0
@@ -95,7 +95,7 @@ class VaryingWeights:
             (self._mi.UInt32(0), start), lambda j, _: j < self._n, lambda j, s: (j + 1, update(j, s))
         )[1]
 
-    def _of_blend(self, latent: list[Any], has_slopes: bool) -> Lobes:
+    def _of_blend(self, latent: list[Any], has_slopes: bool) -> LobeSums:
         """Return the common part of `latent.blending.blend_weights`, relative to the nearest material."""
         mi, dr = self._mi, self._dr
 
@@ -105,7 +105,7 @@ class VaryingWeights:
 
         nearest = self._first((mi.Float64(1e300), mi.UInt32(0)), nearer)[1]
         total, *slopes = self._sum(lambda j: self._share(latent, j, nearest, has_slopes), None, 0, has_slopes)
-        return Lobes(latent, (nearest, total), slopes, mi.Float(1.0))
+        return LobeSums(latent, (nearest, total), slopes, mi.Float(1.0))
 
     def _share(self, latent: list[Any], j: Any, nearest: Any, has_slopes: bool) -> list[Any]:
         """Return the share of material j before division by their sum, and its slopes."""
@@ -127,7 +127,7 @@ class VaryingWeights:
         squared = self._dr.maximum(self._squared_distance(latent, j) * unit, 1e-12)
         return 0.5 * squared + self._dr.log(squared), (1.0 + 2.0 / squared) * unit
 
-    def _of_posterior(self, latent: list[Any], has_slopes: bool) -> Lobes:
+    def _of_posterior(self, latent: list[Any], has_slopes: bool) -> LobeSums:
         """Return the common part of the Gaussian process's weights; a unit vector at a training latent."""
         mi, dr, n = self._mi, self._dr, self._n
         match = self._first(
@@ -138,9 +138,9 @@ class VaryingWeights:
             lambda j: self._similarity(latent, j, has_slopes), self._column_sums, 0, has_slopes
         )
         rest, slopes = (1.0 - total) / n, [-slope / n for slope in slopes]
-        lobes = Lobes(latent, (match, rest), [], None)
+        lobes = LobeSums(latent, (match, rest), [], None)
         magnitude = self._first(mi.Float(0.0), lambda j, s: s + dr.abs(self.weight(lobes, j)[0]))
-        return Lobes(latent, lobes.sums, slopes, magnitude)
+        return LobeSums(latent, lobes.sums, slopes, magnitude)
 
     def _similarity(self, latent: list[Any], j: Any, has_slopes: bool) -> list[Any]:
         """Return the covariance with material j, and its slopes."""
@@ -250,12 +250,12 @@ class Evaluation:
             weights = np.pad(weights, ((0, 0), (0, 0), (0, self._n_stored - weights.shape[2])))
         return self._mi.Float(weights.astype(np.float32).ravel())
 
-    def weights(self, latent: list[Any] | None) -> Lobes | None:
+    def weights(self, latent: list[Any] | None) -> LobeSums | None:
         """Return weights at latents, a list of Q arrays; None for a fixed mixture, which has its own."""
         return None if latent is None or self._varying is None else self._varying.at(latent)
 
     def _weight(
-        self, lobes: Lobes | None, i: Any, has_slopes: bool, active: Any
+        self, lobes: LobeSums | None, i: Any, has_slopes: bool, active: Any
     ) -> tuple[Any, Any, list[Any]]:
         """Return the weight of material i, its share in sampling, and slopes of the weight if asked for."""
         mi, dr = self._mi, self._dr
@@ -269,7 +269,7 @@ class Evaluation:
         weight, *slopes = (dr.gather(mi.Float, array, i, active) for array in arrays)
         return weight, share, slopes
 
-    def _offsets_at(self, lobes: Lobes | None, bands: Any) -> list[Any]:
+    def _offsets_at(self, lobes: LobeSums | None, bands: Any) -> list[Any]:
         """Return the factors of the slopes: 0, with the derivatives of parameters; none without differentiation."""
         mi, dr = self._mi, self._dr
         if lobes is not None:
@@ -348,7 +348,7 @@ class Evaluation:
     # -- sums over materials -------------------------------------------------------------------------------
 
     def eval_pdf(
-        self, lobes: Lobes | None, wi: Any, wo: Any, wavelengths: Any, active: Any
+        self, lobes: LobeSums | None, wi: Any, wo: Any, wavelengths: Any, active: Any
     ) -> tuple[Any, Any]:
         """Return f * cos(theta_o) as a spectrum and the density of `sample`, both in 1/sr.
 
@@ -520,7 +520,7 @@ class Evaluation:
 
     # -- sampling ------------------------------------------------------------------------------------------
 
-    def sample(self, lobes: Lobes | None, wi: Any, sample1: Any, sample2: Any, active: Any) -> Any:
+    def sample(self, lobes: LobeSums | None, wi: Any, sample1: Any, sample2: Any, active: Any) -> Any:
         """Sample outgoing directions; those below the horizon have no weight."""
         mi, dr = self._mi, self._dr
         i = self._choose(lobes, sample1)
@@ -539,7 +539,7 @@ class Evaluation:
         wo = 2.0 * cos_im * m - wi
         return dr.select(cos_im > 0.0, wo, mi.Vector3f(0.0, 0.0, -1.0))
 
-    def _choose(self, lobes: Lobes | None, sample1: Any) -> Any:
+    def _choose(self, lobes: LobeSums | None, sample1: Any) -> Any:
         """Choose a material per lane, by its share."""
         mi, dr, varying = self._mi, self._dr, self._varying
         if lobes is None or varying is None:

@@ -17,7 +17,7 @@ from manifold.model.colours import NEAREST, ColourChoice
 from manifold.model.manifold import Manifold
 from manifold.model.places import Place
 from manifold.render.plugin import packed_tables
-from manifold.render.plugin.packed_tables import Tables
+from manifold.render.plugin.packed_tables import PackedTables
 
 _NO_TOLERANCE = "tolerance needs a Gram matrix of whole materials; leave it out, or embed with kind `gplvm`"
 
@@ -49,7 +49,7 @@ class Mixture:
     """
 
     names: tuple[str, ...]
-    tables: Tables
+    tables: PackedTables
     mapping: ValueMapping
     bands: Bands
     weights: Array | None
@@ -103,7 +103,7 @@ class FixedLatent:
     def mixture(self, before: Mixture | None = None, *, has_slopes: bool = False) -> Mixture:
         """Return the prediction, or at a training latent the measured material.
 
-        Tables of a mixture `before`, of the same model, are reused if they hold all the materials.
+        PackedTables of a mixture `before`, of the same model, are reused if they hold all the materials.
         """
         model, x, colours = self.model, self.latent, self.colours
         combination = model.combination(x, colours)
@@ -220,7 +220,7 @@ def _fitted_again(kept: Indices, weights: Array, S: Array) -> Array:
 
 def _tables(
     model: Manifold, materials: Iterable[int], bands: list[int], before: Mixture | None = None
-) -> tuple[list[int], Tables]:
+) -> tuple[list[int], PackedTables]:
     """Return an order of the materials, and their tables; those of a mixture before are reused if they suffice."""
     known = [] if before is None else list(before.order)
     if before is not None and set(materials) <= set(known):

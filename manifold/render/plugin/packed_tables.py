@@ -28,14 +28,14 @@ SPECTRUM_PACKET = 8
 """Values per cell and band of spectra: four corners at one elevation, then at the next."""
 
 META = 32
-"""Integers per material, a power of two so that they are read at once; see `Tables.meta`."""
+"""Integers per material, a power of two so that they are read at once; see `PackedTables.meta`."""
 
 ISOTROPIC = 0
 """The symmetry of materials whose half vectors are counted from the incident azimuth."""
 
 
 @dataclass(frozen=True, eq=False)
-class Tables:
+class PackedTables:
     """N materials, one after the other in flat arrays.
 
     Attributes:
@@ -78,7 +78,7 @@ class Tables:
         return sum(array.nbytes for array in arrays)
 
 
-def pack(files: Sequence[BsdfFile], bands: Sequence[int] | None = None) -> Tables:
+def pack(files: Sequence[BsdfFile], bands: Sequence[int] | None = None) -> PackedTables:
     """Lay out N materials of the same bands, of which some may be chosen by their indices."""
     kept = list(range(files[0].bands.count)) if bands is None else list(bands)
     n_bands = len(kept) if len(kept) > MOST_BANDS_AT_ONCE else int(2 ** np.ceil(np.log2(len(kept))))
@@ -124,7 +124,7 @@ def pack(files: Sequence[BsdfFile], bands: Sequence[int] | None = None) -> Table
         meta[k, : len(row)] = row
         theta_nodes.append(np.pad(file.theta_i_rad, (0, n_theta - len(file.theta_i_rad)), mode="edge"))
         phi_nodes.append(np.pad(file.phi_i_rad, (0, n_phi - len(file.phi_i_rad)), mode="edge"))
-    return Tables(
+    return PackedTables(
         meta=meta.ravel(),
         theta_nodes=np.concatenate(theta_nodes),
         n_theta=n_theta,

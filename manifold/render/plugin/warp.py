@@ -51,7 +51,7 @@ def bisect(mi: Any, dr: Any, n: Any, n_steps: int, is_below: Any) -> tuple[Any, 
 
 
 class PackedWarps:
-    """Warps in packed tables; see `packed_tables.Tables`."""
+    """Warps in packed tables; see `packed_tables.PackedTables`."""
 
     def __init__(self, mi: Any, dr: Any, warps: Any, marginals: Any, most_nodes: int) -> None:
         """Take the flat Dr.Jit arrays of cells and marginals."""

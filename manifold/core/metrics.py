@@ -40,7 +40,7 @@ class Errors(Generic[Number]):
         rmse_80: the same of directions within 80 degrees, weighted by both cosines.
         near_mirror: cube-root error of directions within 10 degrees of the mirror direction.
         elsewhere: cube-root error of all other directions.
-        scaled_ball: `ball` of f* times the factor that fits best: with the brightness aside.
+        scaled_ball: `ball` of f* times the factor that fits best, that is, after matching the brightness.
         lights: CIEDE2000 of the ball by light.
         colours: CIEDE2000 by illuminant, mean over six directions of a multi-angle instrument.
         angles_deg: spectral angle by illuminant, likewise.
@@ -164,7 +164,7 @@ class Errors(Generic[Number]):
         }
         of_parts = ", ".join(words for name, words in parts.items() if name in self.known)
         of_all = {
-            "scaled_ball": f"{self.scaled_ball:.1f} {BALL}, with the brightness aside",
+            "scaled_ball": f"{self.scaled_ball:.1f} {BALL}, after matching the brightness",
             "ball": f"{self.ball:.1f} {BALL}",
             "worst": f"{self.worst:.1f} in the worst light ({self.worst_light})",
             "cube_root": f"{percent(self.cube_root)} cube-root error"

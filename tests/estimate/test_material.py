@@ -94,7 +94,7 @@ def test_a_wrong_exposure_is_no_error_with_the_brightness_aside(photo_atoms, fel
 def test_pictures_of_unknown_exposure_ask_for_a_card_or_a_reading(photo_atoms, felt):
     found = Completion.of(photo_atoms, [felt[0]], exposure=None)
     errors = calibrate(photo_atoms, found.exposed).expected(found)
-    assert errors.words[0].endswith("with the brightness aside")
+    assert errors.words[0].endswith("after matching the brightness")
     assert errors.scaled_ball < errors.ball
     assert "--grey" in advise(errors, None)
     wi, wo = aspecular_pair(45.0, 45.0)

@@ -277,7 +277,7 @@ def hooke_jeeves(
     (array([ 1., -2.]), True)
     """
     if unused.get("constraints"):
-        raise UsageError("hooke_jeeves knows bounds but no constraints; add a penalty to the function")
+        raise UsageError("hooke_jeeves supports bounds but not constraints; add a penalty to the function")
     start = np.atleast_1d(np.array(x0, dtype=np.float64))
     if start.ndim != 1:
         raise ShapeError(f"x0 has shape {start.shape}, expected (n,)")

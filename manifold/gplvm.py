@@ -136,7 +136,7 @@ def log_likelihood(
         mu: noise filter of the kernel.
         length_scale: l > 0, in units of the latents.
         kernel: its name, or a class of your own, see `kernel_named`.
-        output_variance: s^2, in squared units of the outputs; None is what maximises the likelihood.
+        output_variance: s^2, in squared units of the outputs; None selects the value that maximises the likelihood.
 
     Raises:
         ShapeError: S is no Gram matrix, or X does not fit it.
@@ -163,7 +163,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
     True
 
     Starts from principal components and refines the latents. They are centred, and each axis has its
-    longer tail positive. No optimiser ends above the start.
+    longer tail positive. The objective never ends above its starting value.
 
     Args:
         n_components: Q, the number of latent dimensions.

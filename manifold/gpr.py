@@ -244,7 +244,7 @@ class GaussianProcess:
         return bool(scipy.linalg.eigvalsh(smooth, subset_by_index=[beyond, beyond])[0] <= self.kernel.mu)
 
     def warn_of_fit(self, S: Array) -> None:
-        """Warn of latents that predict little of the samples they were fitted to, of Gram matrix S (N, N).
+        """Warn if the latents explain little of the variance of samples of Gram matrix S (N, N).
 
         Warns:
             FlatModelWarning: `explained` is below one half, or the mean `is_linear`.
@@ -263,7 +263,7 @@ class GaussianProcess:
         elif self.is_linear:
             span = np.ptp(self.X, axis=0).max()
             warnings.warn(
-                f"the map is linear, as that of PCA: the latents span only {span:.2g} (length scale "
+                f"the map is linear, like a PCA map: the latents span only {span:.2g} (length scale "
                 f"{self.kernel.length_scale:g}, mu = {self.kernel.mu:.0e}); lower the length scale, the prior or "
                 "mu",
                 FlatModelWarning,

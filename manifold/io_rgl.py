@@ -110,7 +110,7 @@ def write_bsdf(path: Path | str, file: BsdfFile) -> None:
     path = Path(path)
     if not isinstance(file, BsdfFile):
         raise UsageError(
-            f"{path}: found {type(file).__name__}, expected a BsdfFile; goniometer.measure makes one of a BRDF"
+            f"{path}: found {type(file).__name__}, expected a BsdfFile; goniometer.measure makes one from a BRDF"
         )
     context = ErrorContext(path, "correct the record; nothing was written")
     tensors = _tensors(file, context)
@@ -157,7 +157,7 @@ def _stored(name: str, value: str | tuple[int, ...], dtype: str, context: ErrorC
 
 
 def _check(tensors: Mapping[str, AnyArray], context: ErrorContext) -> None:
-    """Raise FileFormatError for the first field that is not what reading and writing rely on."""
+    """Raise FileFormatError for the first invalid field."""
     _check_layout(tensors, context)
     _check_grids(tensors, context)
     _check_values(tensors, context)
@@ -169,7 +169,7 @@ def _check_layout(tensors: Mapping[str, AnyArray], context: ErrorContext) -> Non
     if spectral == ("rgb" in tensors):
         raise context.error(
             f"found fields {', '.join(tensors)[:200]}, expected either 'spectra' or 'rgb' among them",
-            remedy="it is no RGL file, or a damaged one: fetch it again",
+            remedy="it is not an RGL file, or it is damaged: fetch it again",
         )
     if not spectral and "wavelengths" in tensors:
         raise context.error("found with 'rgb', expected only with 'spectra'", field="wavelengths")

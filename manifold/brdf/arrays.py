@@ -40,7 +40,7 @@ def to_xarray(
     ]
     if any(a.ndim != 1 for a in angles):
         raise ShapeError(
-            f"angles of shapes {[a.shape for a in angles]}, expected numbers or one dimension each"
+            f"angles of shapes {[a.shape for a in angles]}, expected scalars or one-dimensional arrays"
         )
     if not all(np.all((a >= 0.0) & (a <= 90.0)) for a in (theta_i, theta_o)):
         raise ShapeError("polar angles outside 0 to 90 degrees, expected angles from the normal")

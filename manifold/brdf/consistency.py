@@ -113,7 +113,10 @@ def _measure(file: BsdfFile, filled: Mask) -> tuple[Array, Array]:
 
 
 def _reciprocity(file: BsdfFile, brdf: MeasuredBRDF, filled: Mask) -> Array:
-    """Return the median of f(wi, wo) / f(wo, wi) over the filled cells of each slice, both up to 75 degrees, (P, T)."""
+    """Return the median of f(wi, wo) / f(wo, wi) over the filled cells of each slice, (P, T).
+
+    Both polar angles of these cells are up to 75 degrees.
+    """
     ratios = np.full(filled.shape[:2], np.nan)
     brdf = brdf.select_bands(list(evenly_spaced(file.bands.count, _MOST_BANDS)))
     least_cosine = np.cos(np.deg2rad(_STEEPEST_DEG))
@@ -266,7 +269,7 @@ def _disagreeing_cells(file: BsdfFile, filled: Mask, implied: Array) -> tuple[tu
 
 
 def _likeliest_channel(values: Array, implied: Array, around: Array, floor: float) -> int:
-    """Return the channel of a cell (3,) that comes nearest to its neighbours by its implied value."""
+    """Return the channel of a cell (3,) that moves closest to its neighbours if replaced by its implied value."""
     gain = np.abs(values - around) - np.abs(implied - around)
     return int(np.argmax(gain / (np.abs(around) + floor)))
 
@@ -377,7 +380,7 @@ def _of_bands(file: BsdfFile, albedo: Array, negative_share: Array) -> list[str]
             named.append(
                 f"{here:.3g} at {labels[b]} between {before:.3g} and {after:.3g}, {_in_words(file, where)}"
             )
-        sentences.append(f"albedo unlike that of the bands beside it: {first_few(named, 3, '; ')}")
+        sentences.append(f"albedo unlike that of both neighbouring bands: {first_few(named, 3, '; ')}")
     return sentences
 
 

@@ -74,7 +74,7 @@ def _retro_reflection(brdf: BRDF, theta: Array, phi: Array | float, steepest: fl
 
 
 def _without_pits(retro: Array, steepest: float) -> Array:
-    """Return the least values (..., n) above `retro` that change by no more than a factor from node to node.
+    """Return the smallest values (..., n) of at least `retro` with bounded ratios between neighbouring nodes.
 
     A normal distribution with pits, or with cliffs between two nodes of the outgoing grid, makes huge stored values
     beside small ones, which do not interpolate. Measured materials and GGX have neither, and stay as they are; what

@@ -48,7 +48,9 @@ class MeasuredBRDF(NotebookPicture):
             UsageError: `file` is no `BsdfFile`, such as a path; `read_bsdf` reads a path.
         """
         if not isinstance(file, BsdfFile):
-            raise UsageError(f"found {type(file).__name__}, expected a file that was read: read_bsdf(path)")
+            raise UsageError(
+                f"found {type(file).__name__}, expected a BsdfFile, as returned by read_bsdf(path)"
+            )
         self.name = file.name
         self.bands = file.bands
         self.is_isotropic = file.is_isotropic
@@ -103,7 +105,7 @@ class MeasuredBRDF(NotebookPicture):
         return turned
 
     def _turn(self, w: Array, sign: float = 1.0) -> Array:
-        """Return directions (K, 3) as the measured sample saw them, or with sign -1 turned back."""
+        """Rotate directions (K, 3) into the frame of the measured sample, or with sign -1 back."""
         rotation = sign * self.symmetry[2]
         return rotate_z(w, rotation) if rotation else w
 

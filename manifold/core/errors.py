@@ -1,7 +1,7 @@
 """The exceptions of the package: one base class, messages of one line.
 
-A message says where, what was found, what was expected, and what to do. Each class is also what Python itself raises in
-such a case:
+A message says where, what was found, what was expected, and what to do. Each class also derives from the built-in
+exception that Python raises in such a case:
 
 | class | also | raised where |
 |---|---|---|

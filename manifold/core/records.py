@@ -41,7 +41,7 @@ class Bands:
         wavelengths_nm: band centres in nm, strictly increasing, shape (B,), any sequence or array; None for RGB.
 
     Raises:
-        ShapeError: the wavelengths are none, not finite, or do not increase.
+        ShapeError: there are no wavelengths, or they are not finite or do not increase.
     """
 
     wavelengths_nm: tuple[float, ...] | None

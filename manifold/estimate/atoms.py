@@ -44,7 +44,7 @@ _BALL_STRIDE = 7  # one in this many of a ball's direction pairs is used
 
 @cache
 def ball_coordinates() -> Array:
-    """Return coordinates of the pairs that light a ball in the judged lights, see `residual.coordinates`."""
+    """Return coordinates of the direction pairs that render the ball in the test lights, see `residual.coordinates`."""
     lights = panel.judged()
     return coordinates(lights.wi, lights.wo)
 
@@ -67,9 +67,9 @@ def shown_shares(names: Sequence[str], weights: Array) -> tuple[tuple[str, float
 class LibraryAtoms:
     """n atoms whose non-negative combinations explain observations, all in one band.
 
-    Their cube roots are combined, as mixtures of materials are: single bands of m materials, then a Lambertian. Or,
-    `in_values`, they are, as pixels see sums of light; roots of the library's bands and lobes with free Fresnel terms
-    follow then, which have broader lobes, and colours that change with incidence.
+    Their cube roots are combined, as mixtures of materials are: single bands of m materials, then a Lambertian. With
+    `in_values`, f itself is combined, because pixels measure sums of light; the atoms then also include powers of the
+    library's bands (broader lobes) and lobes with free Fresnel terms (colours that change with incidence).
 
     Attributes:
         names: of the materials of the library.
@@ -270,7 +270,7 @@ class LibraryAtoms:
 def dielectric_coats(bands: Bands) -> dict[str, Plastic]:
     """Return rough dielectrics over a diffuse base by name, from sharp to dull; only their bases vary with the band.
 
-    A mixture of the bands of one has a base of any colour under the highlight that Fresnel's equations give.
+    A mixture of the bands of one coat has a base of any colour under the same Fresnel highlight.
     """
     bases = np.linspace(0.0, np.cbrt(_COAT_BASE), bands.count) ** 3
     return {

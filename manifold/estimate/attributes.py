@@ -84,7 +84,7 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Slider:
-    """A slider of the page for an attribute that a place on the map is searched for by.
+    """A slider of the page that searches the map for a value of one attribute.
 
     Attributes:
         name: of the attribute, the identifier of its slider; it is not that of a coordinate of the colour.
@@ -334,7 +334,7 @@ def measured(brdf: EvaluableBRDF, keys: Iterable[str]) -> dict[str, float]:
 
 
 def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: ColourChoice = NEAREST) -> Adjusted:
-    """Find the place on a map and the colours nearest to a material at x that have some attributes.
+    """Find the place on a map and the colours that have given attributes and are nearest to the material at x.
 
     Without attributes the place and its colours stay. Other colours need a map of blends.
 
@@ -470,8 +470,8 @@ class Found:
     Attributes:
         lab: its CIELAB colour in the geometry 45/0, shape (3,).
         gloss: its gloss units by angle in degrees.
-        ciede2000: to the colour or the material looked for; None where none was given.
-        light: in which that is; None likewise.
+        ciede2000: to the colour or the material that was looked for; None if neither was given.
+        light: in which `ciede2000` is computed; None if it is None.
         distance: root of the summed squares of CIEDE2000 and of gloss in just visible steps; from a material, the
             CIEDE2000 between both.
     """

@@ -67,7 +67,7 @@ _LEAST_SURFACE = 1e-9  # smallest value of a coat's surface or base, in 1/sr
 
 @dataclass(frozen=True)
 class ColourSample:
-    """A colour and gloss that somebody read.
+    """A measured colour and gloss.
 
     Attributes:
         lab: CIELAB in the geometry 45/0, under D65 and to the 2 degree observer.
@@ -170,7 +170,7 @@ def coat_of(lab: Array, gloss: Mapping[float, float], bands: Bands) -> tuple[Pla
 
 
 def gloss_misfits(units: Array, wanted: Mapping[float, float]) -> Array:
-    """Return differences of logarithms from gloss units (G,) by angle, in units of the accepted difference."""
+    """Return differences of logarithms from the wanted gloss units (G,), divided by the tolerance."""
     logs = [np.log(np.maximum(some, LEAST_GLOSS)) for some in (units, list(wanted.values()))]
     return np.asarray((logs[0] - logs[1]) / _ROUNDING)
 
@@ -326,7 +326,7 @@ def read_colours(
             raise FileFormatError(f"{path}, line {n}: found '{' '.join(given)[:40]}', {_EXPECTED}")
         name = safe_name((cells[of_name] if of_name is not None else "") or f"colour_{n}")
         if name in samples:
-            raise FileFormatError(f"{path}, line {n}: the name '{name}' comes twice, expected each once")
+            raise FileFormatError(f"{path}, line {n}: the name '{name}' occurs twice, expected each once")
         own = {
             angle: _number(path, n, cells[k]) for k, h in enumerate(head or ()) if (angle := gloss_angle(h))
         }
@@ -386,10 +386,9 @@ def _parts(coat: Plastic, wi: Array, wo: Array) -> tuple[Array, Array]:
 def exchanged(f: Array, old: tuple[Array, Array], new: tuple[Array, Array], strength: Array) -> Array:
     """Return values f >= 0 of a material with a new coat instead of an old one, in 1/sr, shape (..., B).
 
-    What the old coat's base explains of them changes as the base does, also where that was black. The rest, the
-    highlight, changes as the surface does: it is taken away in proportion, and added as strongly, at most `strength`
-    (B,) >= 1, as the material's highlight is to the old coat's, so that a metal's stays coloured. For coats see
-    `_parts`.
+    The part of f that the old coat's base explains is scaled by the ratio of the bases. The rest, the highlight,
+    changes with the surface: it is taken away in proportion, and added as strongly, at most `strength` (B,) >= 1, as
+    the material's highlight is to the old coat's, so that a metal's stays coloured. For coats see `_parts`.
     """
     above, share = _highlight(f, old, new[0], strength)
     return np.asarray(above + share * new[1])

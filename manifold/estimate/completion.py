@@ -75,7 +75,7 @@ class Completion:
         atoms: of the library; of values if there are pictures.
         evidence: what was observed.
         solution: how atoms explain it, in the bands of the readings or the channels of the camera.
-        written: the file's BRDF, of which these errors are; None where they are of the completion itself.
+        written: BRDF of the written file, for which the errors hold; None if they hold for the completion itself.
     """
 
     atoms: LibraryAtoms
@@ -519,7 +519,7 @@ class Completion:
             )
         if self.solution.contradiction > CONTRADICTION:
             notes.append(
-                "readings and photographs contradict each other, and the photographs count less: check that both are "
+                "readings and photographs contradict each other, so the photographs count less: check that both are "
                 "of one material, and the light of the photographs"
             )
         if readings is not None and not readings.bands.is_rgb:

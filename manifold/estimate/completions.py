@@ -63,7 +63,7 @@ class Completed(Result):
         next_readings: to take, of which those that were asked for are `suggested`; None if nothing calls for any.
         count: how many were asked for.
         diagnostics: what a user should know before trusting it, in sentences.
-        seconds: in all, without reading.
+        seconds: total time, without reading files.
     """
 
     path: Path | None = field(metadata=entry())
@@ -440,12 +440,12 @@ def complete(
         output: the file to write; its name becomes the material's.
         pictures: photographs of balls of it, and how they were taken.
         gloss: gloss units by angle in degrees, beside those of the readings.
-        sample: which of a file with several.
+        sample: name of the sample, if the file has several.
         correction: what `instruments.read` learned, to be reported.
         picture: of the ball, or of the photographs beside their prediction and the difference, to render.
         count: how many further readings, or pictures if there are some, to suggest.
         instrument: whose directions to suggest.
-        options: of the file.
+        options: options of the output file.
 
     Raises:
         BandMismatchError: bands of readings and library do not go together.
@@ -591,7 +591,7 @@ def parse_lab(text: str, viewing: Viewing) -> Array:
 
 
 def colour_under_d65(lab: Array, viewing: Viewing) -> Array:
-    """Return `difference.lab_under_d65` of a colour (3,) whose lightness is checked."""
+    """Convert CIELAB (3,) to D65, and check the lightness."""
     if not 0.0 <= lab[0] <= 100.0:
         raise UsageError(
             f"colour '{','.join(f'{v:g}' for v in lab)}', expected L,a,b such as 50,20,10, with L from 0 to 100"

@@ -47,8 +47,8 @@ def locate(
 ) -> Located:
     """Embed a measured file in a fitted manifold, see `manifold.model.location.locate`.
 
-    An output whose albedo would exceed 1.05 is not written if `strict` is set; `refusal` says so. The errors of an
-    output that was projected are those of the file.
+    An output whose albedo would exceed 1.05 is not written if `strict` is set; `refusal` says so. If the output was
+    made physical, the errors are those of the written file.
 
     Args:
         model: a fitted manifold, or the path of one.
@@ -58,7 +58,7 @@ def locate(
         options: of the output.
 
     Raises:
-        FileFormatError: the file is no RGL file.
+        FileFormatError: the file is not an RGL file.
         BandMismatchError: its bands are not the library's.
         UsageError: the output cannot be written.
     """
@@ -93,11 +93,11 @@ def reconstruct(
         path: the measured file, or another material.
         output: the `.bsdf` file to write.
         without: names of materials that take no part.
-        numbers: that may describe the file; by default as many as it takes.
+        numbers: largest number of coefficients; None sets no limit.
         options: of the output.
 
     Raises:
-        FileFormatError: the file is no RGL file.
+        FileFormatError: the file is not an RGL file.
         BandMismatchError: its bands are not the library's.
         UsageError: the file is black, no material is left, there is none of a name in `without`, or the output
             cannot be written.

@@ -175,7 +175,7 @@ def clipping(rows: Observation) -> float:
 
 
 def rows_of_readings(atoms: LibraryAtoms, readings: Readings, of_pixels: float) -> list[Observation]:
-    """Return readings in the channels of a camera; each counts as a part of a picture, whose weights have a sum.
+    """Return readings in the channels of a camera; each weighs as much as a share of a picture's total weight.
 
     They are reflectance factors times a cosine, as pixels are; those brighter than white are scaled to it.
     """
@@ -221,7 +221,7 @@ def usable_readings(readings: Readings) -> Readings:
 
 
 def for_library(readings: Readings, bands: Bands) -> Readings:
-    """Return readings that a library of some bands can complete: linear sRGB for an RGB library, spectra for any.
+    """Return readings that a library of some bands can complete: linear sRGB needs an RGB library, spectra fit any.
 
     Three narrow bands become spectra, see `colour.narrow_bands`.
     """

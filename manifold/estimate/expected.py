@@ -152,7 +152,7 @@ def _arrays(errors: Sequence[Errors[float]]) -> Errors[Array]:
 
 
 def typical(values: Array) -> float:
-    """Return what at least half of some values are below, and 90 % of them and of a further one below twice of."""
+    """Return the larger of the median and half the 90th percentile, which counts one value more, a large one."""
     N = len(values)
     most = float(np.quantile(values, min(BELOW_TWICE * (N + 1) / N, 1.0)))
     return max(float(np.median(values)), most / 2.0)
@@ -218,7 +218,7 @@ def _some_pixels(lights: Panel) -> tuple[Panel, Indices, Indices]:
 def calibrate(atoms: LibraryAtoms, seen: Readings | Evidence, library: Library | None = None) -> Calibration:
     """Complete every material of a library from the others, with the same observations.
 
-    Beside pictures some of the materials, evenly chosen, stand for all.
+    If there are pictures, an evenly spaced subset of the materials is used.
 
     Args:
         atoms: of the library.

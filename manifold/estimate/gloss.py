@@ -91,7 +91,7 @@ def gloss_units(brdf: EvaluableBRDF, angles_deg: Iterable[float] = GLOSS_ANGLES_
 
 
 def gloss_differences(made: Array, read: Array) -> Array:
-    """Return relative differences of cube roots from read gloss units, within one unit of these, shape (G,)."""
+    """Return relative differences of cube roots between computed and measured gloss, 0 within one unit, shape (G,)."""
     nearest = np.clip(made, np.maximum(read - 1.0, 0.0), read + 1.0)
     root, near = np.cbrt(made), np.cbrt(nearest)
     return np.asarray(np.abs(root - near) / np.maximum(np.maximum(root, near), np.finfo(float).tiny))

@@ -63,8 +63,8 @@ def safe_name(name: str) -> str:
 def find_samples(sources: Iterable[Path]) -> list[Sample]:
     """Return the samples in instruments' files and folders; readings of one sample by several instruments are merged.
 
-    Files are of one sample where it has one name in them and instruments differ. Where one instrument has read a name
-    twice, they may be two samples, and stay apart, named by their files.
+    Readings with one sample name from different instruments are joined. If one instrument read a name twice, they may
+    be two samples, and stay apart, named after their files.
     """
     groups: dict[str, list[_Part]] = {}
     given = [path for source in sources for path in matching(str(source))]
@@ -190,7 +190,10 @@ def _is_several(path: Path) -> bool:
 def find_inputs(
     sources: Iterable[MaterialSource], is_wanted: Callable[[Path], bool] = is_rgl, *, samples: bool = False
 ) -> list[Input]:
-    """Return the materials of sources, unread: wanted files of folders at every depth, and, if asked, all samples."""
+    """List the materials of sources without reading them.
+
+    Folders are searched for the wanted files at every depth; on request every sample of a file is listed.
+    """
     inputs: list[Input] = []
     for source in sources:
         if isinstance(source, PlaceSource):
@@ -226,7 +229,7 @@ def require_apart(sources: Iterable[Path], folder: Path) -> None:
     for source in sources:
         read = source if source.is_dir() else source.parent
         if read.exists() and folder.exists() and read.samefile(folder):
-            raise UsageError(f"{folder}: is the folder of what is read; name another one for what is written")
+            raise UsageError(f"{folder}: is the input folder; choose another output folder")
 
 
 def files_of(source: object) -> list[Path]:
@@ -248,7 +251,7 @@ _EXPECTED = (
 
 
 def read_points(path: Path, model: Path, library: Path | None = None) -> tuple[list[Input], list[str]]:
-    """Read a table of places on the map of a model, and the faults of other rows, which stop no others.
+    """Read a table of places on a map, and return also the errors of invalid rows, which do not stop the rest.
 
     Columns are `x`, `y`, `z` or `x1`, `x2`, ... for coordinates, `latent` for all of them in one cell, or `material`
     (also for names that read as coordinates); then `name`, without which rows are numbered, and at most one of `like`,

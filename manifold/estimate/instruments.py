@@ -376,7 +376,10 @@ def calibrate(paths: Sequence[Path], output: Path, *, allow_harm: bool = False) 
 
 
 def pairs_of(reference: Path, other: Path) -> tuple[list[tuple[Readings, Readings]], list[str]]:
-    """Return pairs of readings of samples with the same name under two paths, and reasons for the others."""
+    """Return pairs of readings of samples with the same name under two paths.
+
+    Also return the reason for each sample without a partner.
+    """
     if reference == other:
         raise UsageError(f"{reference} is named twice, expected the reference's and another instrument's")
     first, second = _samples_in(reference), _samples_in(other)

@@ -73,7 +73,7 @@ def plan_lamps(
 ) -> LampPlan:
     """Return the lamps that minimise the expected error of the ball, chosen one after the other.
 
-    The library may be its atoms of values; known are the rows of pictures there are, channel by channel, if any.
+    `library` may be a library or its atoms of values; `known` holds the rows of existing pictures, channel by channel.
     """
     atoms = (
         library if isinstance(library, LibraryAtoms) else LibraryAtoms.of_library(Library(library)).in_values

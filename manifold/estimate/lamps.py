@@ -134,7 +134,7 @@ def read_lamps(path: Path, pictures: Sequence[str] = ()) -> list[Lamp]:
             raise FileFormatError(f"{path}, line {n}: an intensity that is not above 0")
         key = _picture_name(name) or str(n)
         if key in lamps:
-            raise FileFormatError(f"{path}, line {n}: the picture {key} comes twice, expected each once")
+            raise FileFormatError(f"{path}, line {n}: the picture {key} occurs twice, expected each once")
         colour = np.broadcast_to(values[3:], (3,)) if values.size > 3 else np.ones(3)
         try:
             lamps[key] = Lamp.towards(values[:3], colour=np.array(colour))
@@ -194,7 +194,7 @@ def _in_order(path: Path, lamps: Mapping[str, Lamp], pictures: Sequence[str]) ->
 
 
 def lamp_pairs(blocks: Blocks, camera: Camera, lamps: Sequence[Lamp]) -> tuple[Array, Array, Array]:
-    """Return direction pairs that light blocks, and the light from there, as `pixels.direction_pairs` does.
+    """Return the direction pairs of each block, and the light from there, as `pixels.direction_pairs` does.
 
     A block's value is the mean over `SAMPLES` of its points, each lit by every lamp from one point of its disc.
     """
@@ -256,7 +256,7 @@ def lamp_picture(brdf: BRDF, camera: Camera, lamps: Sequence[Lamp], size: int, m
 def unwrapped(photograph: Photograph, circle: Circle, camera: Camera) -> Array:
     """Return the environment that a mirror ball shows a far camera, by latitude and longitude, shape (H, 2 H, 3).
 
-    What lies straight behind the ball is taken from its rim; what was not seen of the photograph is black.
+    Directions behind the ball are filled from its rim; directions that the photograph does not show are black.
     """
     world = directions(_HEIGHT)[..., [1, 0, 2]]  # from straight ahead to the right
     seen = world @ np.array(camera.axes).T  # in the camera's frame

@@ -99,8 +99,7 @@ def find_light(
 ) -> Probe:
     """Estimate a fixed ball's outline, and the one lamp of every photograph; photographs have one size.
 
-    A circle that is known nearly is refined; lamps are `distance` radii from the middle of
-    the ball.
+    An approximate circle is refined; lamps are `distance` radii from the middle of the ball.
     """
     sizes = {one.values.shape[:2] for one in photographs}
     if len(sizes) > 1:
@@ -216,8 +215,8 @@ def edges_on_limb(
 ) -> tuple[Circle, Array]:
     """Return the circle through edges near a circle where lamps (P, 3) light the ball, and the information about it.
 
-    The information (3, 3) is of the centre, right and up, and the radius, in radii. An edge is where values are half
-    between those on its sides. Before the edges, the outline is known with a standard deviation.
+    The information (3, 3) is of the centre, right and up, and the radius, in radii. An edge is where the value is
+    midway between those on its two sides. Before the edges, the outline is known with a standard deviation.
     """
     before = (
         np.array([outline.x - circle.x, circle.y - outline.y, outline.radius - circle.radius]) / circle.radius

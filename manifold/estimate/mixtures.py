@@ -77,8 +77,8 @@ class Mixtures:
     def fitted(cls, X: Array, y: Array, material_of: Indices, n_library: int | None = None) -> Mixtures:
         """Fit all mixtures of atoms, with the scale and Lambertian of each that have the largest posterior density.
 
-        X (n + 1, R) is what atoms and, last, the Lambertian were seen to be, and y (R,) what was seen, whitened: errors
-        have variance 1. `material_of` and `n_library` are as of `posterior`.
+        X (n + 1, R) holds the atoms and, last, the Lambertian at R observations, and y (R,) the observations, both
+        whitened: errors have variance 1. `material_of` and `n_library` are as of `posterior`.
         """
         return cls.of_products(X @ X.T, X @ y, float(y @ y), material_of, n_library)
 
@@ -115,9 +115,9 @@ class Mixtures:
 
         The likelihood is Student's t, divided by a power of the norm.
 
-        Errors are relative: a mixture as dark as possible would be the best, if what it misses did not count as light,
-        too. The misfit is the sum of `count` independent errors; the squared norm (H,) > 0 is that of the mixtures over
-        all directions and of what they do not explain.
+        Errors are relative to the norm of mixture and residual together; otherwise the darkest mixture would be the
+        best. The misfit is the sum of `count` independent errors; the squared norm (H,) > 0 is that of the mixtures
+        over all directions and of what they do not explain.
         """
         log = self.log_prior + log_likelihood(self.misfit, count) - 0.5 * exponent * np.log(norm)
         evidence = float(logsumexp(log))
@@ -416,9 +416,9 @@ def posterior(
     tails keep several mixtures probable where none fits the readings. It is divided by the fifth power of the mixture's
     norm: a predicted highlight that does not exist costs more than one that is missing.
 
-    `gram` (n + 1, n + 1) has inner products of atoms over all directions; `material_of` (n + 1,) is which of N
-    materials an atom is of, as many atoms of each, and N for the Lambertian; the first `n_library` of them, or all, are
-    measured, the others coats.
+    `gram` (n + 1, n + 1) has inner products of atoms over all directions; `material_of[k]` is the index of the
+    material that atom k belongs to, N for the Lambertian; every material has as many atoms; the first `n_library` of
+    them, or all, are measured, the others coats.
     """
     X, (y,) = read.whitened()
     mixtures, n_readings = Mixtures.fitted(X, y, material_of, n_library), len(y)

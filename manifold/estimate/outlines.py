@@ -182,7 +182,7 @@ class Outline(NamedTuple):
 def outlines_in(photographs: Sequence[Photograph]) -> list[Outline]:
     """Return possible outlines of a ball in photographs of one size, the likeliest first.
 
-    It is sought in their maximum, which no terminator cuts where lamps differ.
+    The search uses the maximum of the photographs at each pixel, which no terminator crosses if lamps differ.
     """
     for one in photographs:
         if not np.any(np.isfinite(one.values).all(axis=2) & ~one.is_clipped):

@@ -43,7 +43,7 @@ def draw_residuals(
     """Draw photographs beside renders of a file, with their differences.
 
     A known exposure is divided out; with one that was estimated, photographs stay as they are, and renders are exposed
-    alike: else a wrong one would make all white, or black, and differences small.
+    alike: otherwise a wrong exposure would turn both pictures white or black and hide the differences.
     """
     known = exposure or 1.0
     seen, predicted, errors = [], [], []

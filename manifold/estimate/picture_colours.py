@@ -56,7 +56,7 @@ def odd_picture(labels: tuple[str, ...], factors: Array) -> str | None:
 
 
 def with_picture_colours(readings: Readings) -> Readings:
-    """Return readings with those of pictures' colours added at geometries that lack a spectrum.
+    """Add readings from the colours of pictures at geometries that lack a spectrum.
 
     The factor between pictures and readings is the median over those pictures that have one. A spectrum is that of the
     reading of the nearest colour, changed as the picture differs from it.

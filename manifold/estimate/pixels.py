@@ -247,7 +247,7 @@ class Camera:
     """The position of a camera that looks at the middle of the ball.
 
     Attributes:
-        turn_deg: azimuth of what lies straight ahead, in the environment, from its first column to the right.
+        turn_deg: azimuth of the viewing direction in the environment, from its first column to the right.
         elevation_deg: of the camera above the ball.
         distance: from the middle of the ball, in its radii.
     """

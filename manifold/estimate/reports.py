@@ -83,7 +83,7 @@ def write_completion(path: Path, completed: Completed, sources: Sequence[Path] =
 
 
 def write_coat(path: Path, coated: Coated) -> None:
-    """Write the report of a colour and gloss made a material."""
+    """Write the report on a material made from a colour and a gloss."""
     brdf = MeasuredBRDF(read_bsdf(coated.path))
     sections = [
         Section("Sample", coated.rows),

@@ -58,7 +58,7 @@ _UNLIT = 0.02  # share of a pixel's light below which nothing is learned
 
 @dataclass(frozen=True)
 class PhotoRequest:
-    """Photographs of one material, and how they were taken. What there is one of holds for every photograph.
+    """Photographs of one material, and how they were taken. A single value holds for every photograph.
 
     Attributes:
         lights: environments, files or names of `environments.ENVIRONMENTS`; none where there are lamps.
@@ -102,7 +102,7 @@ class Sighting:
     """A ball as a camera saw it under known light.
 
     Attributes:
-        light: an environment in its channels, or lamps.
+        light: an environment in the camera's channels, or lamps.
         spots: lamps of unknown strength beside the environment, where it is clipped.
     """
 
@@ -228,7 +228,7 @@ def _under_lamps(
             outlines = [_outline_of([one], text) for one, text in zip(photographs, circles, strict=True)]
     if request.grey is None:
         notes += (
-            "the lamp is taken as white, and its colour changes the material's; balance the picture's "
+            "the lamp is assumed to be white; a coloured lamp changes the material's colour; balance the picture's "
             "white, or give a grey card (--grey)",
         )
     balls = []
@@ -335,8 +335,8 @@ def _light(name: str) -> tuple[Array, Environment, tuple[str, ...]]:
         # Lights made by programs have some equal values.
         if count > (0 if picture.is_encoded else 0.5 * bright):
             notes += (
-                f"{Path(name).name}: its {count} brightest pixels have one value; if the camera clipped them, the "
-                "light is brighter than this, and the material comes out too bright",
+                f"{Path(name).name}: its {count} brightest pixels have the same value; if the camera clipped them, the "
+                "light is brighter than this, and the estimated material is too bright",
             )
     try:
         return image, Environment.of(image), notes

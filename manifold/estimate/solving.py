@@ -204,7 +204,7 @@ _DARK = 0.05  # share of the root mean square of cube roots: changes of darker d
 def solve_pictures(atoms: LibraryAtoms, evidence: Evidence, usable: Mask | None = None) -> Solution:
     """Explain evidence by usable atoms (n,); unknown exposures and the noise of pictures are part of the estimate.
 
-    Where there are readings, the pictures' noise is at least the error of these as pictures alone predict them.
+    If there are readings, the pictures' noise is at least the error with which the pictures alone predict them.
     """
     contradiction = 0.0
     exposures = (evidence.exposure or 1.0) * _first_gains(atoms, evidence)
@@ -239,7 +239,7 @@ def estimate(
 ) -> tuple[Array, list[Hypotheses]]:
     """Return weights (C, n) of usable atoms, never negative, that explain C channels, and mixtures of each as prior.
 
-    That is of pixels alone: readings of a kind of material that the library lacks would choose a wrong one.
+    The prior uses pixels alone: readings of a class of material that the library lacks would select a wrong one.
     """
     usable = np.ones(len(atoms), bool) if usable is None else usable
     priors = [pixel_mixtures(atoms, rows.pixels, usable) for rows in channels]
@@ -333,8 +333,8 @@ def probable_exposure(
 ) -> float:
     """Return the exposure at which the library's usable materials (n,) best explain evidence under gains (P,).
 
-    It is the posterior mean of its logarithm. The prior is that of how bright they are in these pixels, none brighter
-    than white. The ratio of highlights to what is beside them says the rest, and counts little: many mixtures have it.
+    It is the posterior mean of its logarithm. The prior is the brightness of the library's materials in these pixels,
+    at most white. The ratio of highlights to their surroundings adds little, because many mixtures share it.
     """
     every = np.ones(len(atoms), bool) if usable is None else usable
     grey, n = atoms.mixed[-1], atoms.n_measured

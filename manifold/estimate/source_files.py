@@ -29,7 +29,10 @@ def read_source(source: MaterialSource) -> BsdfFile:
 
 @contextmanager
 def source_file(source: MaterialSource) -> Iterator[Path]:
-    """Yield the path of a file that holds a source and that Mitsuba opens; it is temporary unless the source is one."""
+    """Yield the path of a file that holds a source and that Mitsuba opens.
+
+    The file is temporary unless the source is itself such a file.
+    """
     if isinstance(source, FileSource) and not is_compressed(source.path):
         yield source.path
         return

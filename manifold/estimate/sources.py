@@ -53,7 +53,7 @@ class PlaceSource:
     """The prediction at a place on the map of a model.
 
     Attributes:
-        library: of the model, if it was moved.
+        library: path of the model's library, if it was moved.
     """
 
     model: Path

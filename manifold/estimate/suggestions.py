@@ -65,9 +65,8 @@ def next_readings(unknowns: Sequence[Deviations], count: int) -> Indices:
 
     They are indices in order, shape (count,).
 
-    The errors are the root mean square over all directions and the mean over the pixels of a ball of their standard
-    deviation. The product of the first and the cube of the second is minimised. Unknowns are independent of each other,
-    all at the same D candidates.
+    Minimises s b^3: s is the root mean square of the standard deviation over all directions, b its mean over the
+    pixels of a ball. Unknowns are independent of each other, all at the same D candidates.
     """
     left = list(unknowns)
     chosen: list[int] = []
@@ -119,7 +118,7 @@ def suggest(
         library: of measured materials, or its atoms.
         count: how many.
         known: the completion of the readings so far; None if there are none.
-        instrument: name in `DIRECTIONS`, of which to choose directions; None for any.
+        instrument: key of `DIRECTIONS` whose directions are the candidates; None allows any direction.
 
     Raises:
         UsageError: there is no such instrument, or it has fewer directions left.

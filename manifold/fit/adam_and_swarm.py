@@ -61,8 +61,7 @@ class SwarmOptions:
 def adam(family: BsdfFamily, samples: FitSamples, residuals: Residuals, options: AdamOptions) -> Minimum:
     """Fit by Adam in two stages: luminance of RGB samples for the shared values, then everything.
 
-    The second stage minimises the squared linear error. The cost of the result is that of the residuals,
-    which Adam does not use.
+    The second stage minimises the squared linear error. The reported cost is that of the residuals, not Adam's loss.
 
     Parameters are clamped to their ranges, colours to [0, 1] within them, after every step.
     """

@@ -292,7 +292,7 @@ def _ball_of(target: str, content: Content) -> float:
 
 
 def paths_for(folder: Path, name: str, targets: Sequence[Target]) -> list[Path]:
-    """Return the files of a material for several targets, which are named in those that share a suffix."""
+    """Return the files of a material for several targets, files that share a suffix also have the target's name."""
     suffixes = [target.suffix for target in targets]
     marks = [f"_{target.name}" if suffixes.count(target.suffix) > 1 else "" for target in targets]
     return [folder / f"{name}{mark}{suffix}" for mark, suffix in zip(marks, suffixes, strict=True)]

@@ -107,7 +107,7 @@ def missed_highlight(fitted: EvaluableBRDF, material: EvaluableBRDF) -> str | No
 
 
 class Criterion:
-    """Residuals of a BSDF against samples and, of metric `appearance`, the pixels of a ball that they come with.
+    """Residuals of a BSDF against samples; metric `appearance` also compares the pixels of their ball.
 
     Rows are those of the samples, then those of the pixels, whose cube roots are compared as a display shows them: what
     is brighter than white weighs little.

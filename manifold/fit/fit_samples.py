@@ -169,7 +169,7 @@ def from_readings(readings: Readings) -> FitSamples:
 def from_brdf(brdf: EvaluableBRDF, rotation_rad: float = 0.0) -> FitSamples:
     """Return samples of a BRDF, dense around the mirror direction, and its ball; negative values count as 0.
 
-    `rotation_rad` is the azimuth by which the sample lies turned, which is undone.
+    `rotation_rad` is the azimuth by which the specimen was rotated; the samples are rotated back.
     """
 
     def of(wi: Array, wo: Array) -> Array:

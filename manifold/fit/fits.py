@@ -51,7 +51,7 @@ class FitSettings:
 
     Attributes:
         family, method, metric, noise, wide_colours: as in `principled.fit_bsdf`.
-        sample: which of an instrument's file with several.
+        sample: name of the sample, if the file has several.
     """
 
     family: BsdfFamily | None = None

@@ -34,7 +34,7 @@ class GaussNewton:
             best vectors with a low and with a high value of each shared parameter, in and out of that quarter of its
             range.
         coarse_pairs: direction pairs of the first refinement.
-        coarse_pixels: step from one pixel of a light that it sees to the next.
+        coarse_pixels: the coarse refinement uses one in so many pixels of each light.
         coarse_iterations, iterations: evaluations allowed per start, coarse and fine.
         tolerance: relative change of the cost, and of the parameters, at which a refinement ends.
         n_fine: how many distinct minima of the coarse refinement are refined on all pairs.

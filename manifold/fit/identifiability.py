@@ -177,9 +177,9 @@ def keep_undetermined(
 
     Return the best minimum, and the outcome of the values that were set to defaults.
 
-    Undetermined is what the samples do not see, and what is uncertain and ended at an end of its range that is not its
-    default. One after the other, the least certain first, is set to its default; it stays there where the fit is as
-    good within the noise: the costs differ by less than the limit.
+    A value is undetermined if the samples hardly depend on it, or if it is uncertain and ended at a bound other than
+    its default. One after the other, the least certain first, is set to its default; it stays there where the fit is
+    as good within the noise: the costs differ by less than the limit.
     """
     layout = residuals.layout
     owners = layout.owner

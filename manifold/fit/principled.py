@@ -76,9 +76,10 @@ class FitResult(Result):
         statements: how well the samples determine each value.
         notes: what a user should know, one line each.
         n_pairs: number of samples.
-        variant: `numpy`, or Mitsuba's, of what evaluated the BSDF.
-        seconds: of the fit, reading and sampling left out.
-        rotation_deg: azimuth by which the material's highlights lie turned from those of the BSDF, wide along x.
+        variant: what evaluated the BSDF: `numpy`, or the name of a Mitsuba variant.
+        seconds: duration of the fit, without reading and sampling.
+        rotation_deg: azimuth, from x, of the direction in which the material's highlights are widest; those of the
+            BSDF are widest along x.
     """
 
     family: BsdfFamily = field(metadata=entry(columns={"BSDF": lambda content: content["bsdf"]["type"]}))
@@ -179,7 +180,7 @@ def fit_bsdf(
         method: one of `FITTERS`.
         metric: one of `fit_metrics.METRICS`, in which residuals are minimised and compared. `appearance` is that of the
             colours of the ball and of cube roots at the samples; of samples without a ball, cube roots alone.
-        noise: relative standard deviation of the samples that the statements assume at least.
+        noise: lower bound of the samples' relative standard deviation that the statements assume.
         options: hyperparameters of the method.
         wide_colours: without a family, let base colours leave [0, 1], as colours outside Rec. 709 do.
 
@@ -392,11 +393,11 @@ def _notes(result: FitResult, n_others: int, is_isotropic: bool) -> list[str]:
     if is_isotropic or not is_known:
         return notes
     if anisotropic is None:
-        notes.append("anisotropic, but fitted the same at all azimuths: let `anisotropic` be free")
+        notes.append("anisotropic, but fitted as isotropic; free the parameter `anisotropic`")
     elif isinstance(anisotropic, float) and anisotropic < _LEAST_ANISOTROPY:
         notes.append(
             "anisotropic, but fitted the same at all azimuths: principled's highlights are wider along x; where the "
-            "sample's are wider along y, turn it by a quarter about its normal"
+            "sample's are wider along y, rotate it by 90 degrees about its normal"
         )
     return notes
 

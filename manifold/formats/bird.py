@@ -107,7 +107,7 @@ def _variable(
         isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value < 1e300
         for value in values
     ):
-        raise context.error("has values that are no numbers of at least 0", field=key)
+        raise context.error("has values that are not numbers of at least 0", field=key)
     if count is not None and len(values) != count:
         raise context.error(f"has {len(values)} values, expected {count}, as BRDF has", field=key)
     return np.array(values, dtype=np.float64), str(variable.get("unit", ""))

@@ -106,7 +106,7 @@ def add_picture(sheet: Any, cell: str, content: bytes) -> None:
     from openpyxl.drawing.image import Image
 
     if picture_bytes.kind_of(content) is None:
-        raise FileFormatError(f"the picture of cell {cell} is no PNG or JPEG; leave it out")
+        raise FileFormatError(f"the picture of cell {cell} is neither a PNG nor a JPEG; remove it")
     sheet.add_image(Image(io.BytesIO(content)), cell)
 
 

@@ -89,7 +89,9 @@ def _compact(library: Library, info: MaterialInfo, staged: Path, folder: Path, t
     expected = info_of(info.name, read_attributes(written))
     _, found = read_material(written, expected, is_rgb=library.bands.is_rgb)
     if found != expected.content_sha256:
-        raise LibraryError(f"{info.name}: was not written as it should be; check the disk, and try again")
+        raise LibraryError(
+            f"{info.name}: differs from what should have been written; check the disk, and try again"
+        )
     staging.supplant(staged, folder)
     return compact.accuracy
 

@@ -21,7 +21,7 @@ from manifold.formats.recognition import is_library
 
 
 def require_outside_libraries(path: Path, *, into: bool = False) -> None:
-    """Raise UsageError where a file or folder to be written lies in a library, or one to be written into is one."""
+    """Raise UsageError if an output lies in a library or, for a folder to be written into, is one."""
     real = Path(os.path.realpath(path))
     folders = [real, *real.parents] if into else real.parents
     libraries = [folder for folder in folders if is_library(folder)]

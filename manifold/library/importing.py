@@ -97,7 +97,7 @@ def import_files(
         library_path: the library.
         sources: `.bsdf` files, or folders searched at every depth for `*.bsdf`; one of them, or several.
         replace: exchange materials that are there under the same name with other content, or in another form.
-        tolerance: store them in compact form, within so much CIEDE2000 of the ball; by default as they are.
+        tolerance: largest ball error (CIEDE2000) allowed for compact storage; None stores the files unchanged.
         rotation_rad: azimuth by which anisotropic samples lay turned, from -pi to pi, which whatever evaluates them
             undoes; "auto" finds it from the normals, see `manifold.brdf.orientation`.
         workers: who check files, and write materials; threads of this process if None.
@@ -109,7 +109,7 @@ def import_files(
         UsageError: a source does not exist, a folder holds no `*.bsdf`, the library would lie in another one, or the
             rotation is out of range.
         BandMismatchError: a file has other bands than the library or the first file; nothing was written.
-        LibraryError: what is there is no library, another process writes to it, or the disk is full.
+        LibraryError: the path is not a library, another process writes to it, or the disk is full.
         ManifoldError: a worker was lost.
     """
     if tolerance is not None:
@@ -331,6 +331,6 @@ def _stored(source: _Source, library: Path, staged: Path, tolerance: float | Non
 
 
 def _in_groups(items: Sequence[T]) -> list[Sequence[T]]:
-    """Return groups of items for tasks: few tasks for many items, independent of who runs them."""
+    """Return groups of items for tasks: groups the size of a task, independent of the number of workers."""
     size = min(max(len(items) // _MANY_TASKS, 1), _MOST_TOGETHER)
     return [items[first : first + size] for first in range(0, len(items), size)]

@@ -331,7 +331,7 @@ def _grid(shape: tuple[int, ...], parts: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _metadata(folder: Entry, kind: str, lack: str) -> dict[str, Any]:
-    """Return what `zarr.json` says of a group or an array."""
+    """Return the metadata in `zarr.json` of a group or an array."""
     file = folder / METADATA
     if (size := file.size) is None:
         raise LookupError(lack)

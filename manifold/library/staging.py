@@ -129,7 +129,7 @@ def publish(staged: Path, target: Path) -> None:
 
 
 def standing(folder: Entry, name: str) -> Entry:
-    """Return the current place of a folder in another, which is beside its final one while it is being replaced."""
+    """Return the current path of a folder in another; during a replacement this is the backup beside it."""
     target, replaced = folder / name, folder / f".{name}{_REPLACED}"
     return replaced if not target.is_folder and replaced.is_folder else target
 
@@ -173,9 +173,9 @@ def consolidate(library: Path) -> None:
 
 
 def make_store(folder: Path, bands: Bands, staged: Path) -> None:
-    """Make an empty library; the caller holds its write lock and lends a staging folder."""
+    """Make an empty library; the caller holds its write lock and provides a staging folder."""
     if folder.exists() and (not folder.is_dir() or contents(folder)):
-        raise LibraryError(f"{folder}: exists already; choose a path where there is nothing yet")
+        raise LibraryError(f"{folder}: already exists; choose a new path")
     root = staged / "library"
     write_group(root, root_attributes(bands))
     write_group(root / "materials", {})

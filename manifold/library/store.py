@@ -66,7 +66,7 @@ MOST_BYTES = 1 << 30
 
 
 def _prune(folder: Path) -> None:
-    """Remove the entries that were used longest ago, until the rest is no more than `MOST_BYTES`."""
+    """Remove the least recently used entries until the rest takes at most `MOST_BYTES`."""
     entries = sorted(
         ((entry.stat().st_mtime_ns, entry.path) for entry in os.scandir(folder) if entry.is_dir()),
         reverse=True,
@@ -356,7 +356,7 @@ def _read_root(folder: Entry, shown: Path | str) -> tuple[int, Bands]:
     try:
         if isinstance(bands, list) and all(isinstance(w, int | float) for w in bands):
             return version, Bands.from_array(np.array(bands, dtype=np.float64))
-        raise ShapeError("no list of numbers")
+        raise ShapeError("not a list of numbers")
     except (ShapeError, OverflowError) as error:
         raise LibraryError(f"{shown}: attribute 'bands' is damaged ({error}); {again}") from error
 

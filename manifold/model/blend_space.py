@@ -37,7 +37,9 @@ _ENDS, _SPARSE = ("dark", "bright"), ("_data", "_indices", "_indptr")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BlendSpace(LatentSpace):
-    """Materials as points; a place between them is a blend of whole materials, in their colours or in others.
+    """Latent space of kind `blend`: predictions are non-negative blends of materials.
+
+    They have the materials' own colours, or given ones.
 
     Attributes:
         X: places of the materials, in length scales, shape (N, Q).
@@ -211,7 +213,10 @@ class BlendSpace(LatentSpace):
     def left_out_search(
         self, table: MaterialTable, materials: MaterialCache, settings: Settings
     ) -> LeftOutSearch:
-        """Return a search for each material among the others; colour paths that use its samples are kept."""
+        """Return a search that locates each material from the others.
+
+        It keeps colour paths that contain the material's own samples.
+        """
         N, B, pairs = len(self.X), len(self.bands), self.embedding_pairs(materials.is_isotropic)
         at = np.searchsorted(table.bands, self.bands)
         roots = roots_at(table.materials, pairs).reshape(N, len(table.bands), -1)

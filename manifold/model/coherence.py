@@ -70,7 +70,7 @@ class Coherence:
 
     @property
     def statistics(self) -> dict[str, float]:
-        """The measures by name, as a fit keeps them."""
+        """Return the measures by name, as they are stored in the model."""
         return asdict(self)
 
     @property
@@ -133,7 +133,7 @@ def _others(materials: Indices, i: int) -> Indices:
 
 
 def typical_pair(pairs: Sequence[Pair]) -> Pair:
-    """Return the pair to show: of those that are each other's most similar material, the one of median difference."""
+    """Return the pair of materials to show: mutually most similar, and of the median difference of such pairs."""
     both = {(pair.first, pair.second) for pair in pairs}
     mutual = [p for p in pairs if p.first < p.second and (p.second, p.first) in both]
     ordered = sorted(mutual or pairs, key=lambda pair: (pair.difference, pair.first))

@@ -53,7 +53,7 @@ class ColourChoice:
             try:
                 known: Any = file_sha256(spectrum)
             except OSError as error:
-                raise UsageError(f"{spectrum}: {error.strerror}, expected a file of a reflectance") from error
+                raise UsageError(f"{spectrum}: {error.strerror}, expected a reflectance file") from error
         elif spectrum is not None:
             known = [list(map(float, numbers)) for numbers in (spectrum.wavelengths_nm, spectrum.values)]
         else:
@@ -117,7 +117,7 @@ def parse_srgb(text: str) -> Array:
 
 
 class ReflectanceColours:
-    """Turns reflectances into colour coordinates at any structure, and back."""
+    """Converts between reflectances and colour coordinates at any latent."""
 
     def __init__(self, space: LatentSpace, materials: MaterialCache, settings: Settings) -> None:
         """Take a fitted space and the materials behind it."""

@@ -98,7 +98,7 @@ class Combination:
 
     @property
     def source(self) -> int | None:
-        """The material that the prediction is, bit for bit, where the weights are a unit vector."""
+        """Index of the only material with a weight, if that weight is 1; None otherwise."""
         if self.sample_bands is None and np.count_nonzero(self.weights) == 1:
             material = int(np.argmax(self.weights))
             return material if self.weights[material] == 1.0 else None
@@ -121,7 +121,7 @@ class Combination:
         missing = np.setdiff1d(self.sample_bands, bands)
         if missing.size:
             raise ShapeError(
-                f"bands {missing.tolist()} are samples of the prediction, expected them among the values"
+                f"bands {missing.tolist()} are needed by the prediction, and the values lack them"
             )
         variance = self.variance[bands] if isinstance(self.variance, np.ndarray) else self.variance
         position = np.searchsorted(bands, self.sample_bands)

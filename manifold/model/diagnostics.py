@@ -244,7 +244,7 @@ def in_words(expected: Errors[Array] | None, materials: int, of: str = "") -> tu
         return (AT_A_MATERIAL,)
     first, *others = expected.words
     lines: list[str | list[str]] = [[of + first, *others]]
-    lines.append(f"{percent(BELOW_TWICE)} of the errors are below twice the expected")
+    lines.append(f"{percent(BELOW_TWICE)} of true errors are below twice this value")
     if materials < COARSE_BELOW:
         lines.append(f"uncertain by a factor of three: the model has only {materials} materials")
     return tuple(lines)
@@ -287,7 +287,7 @@ def of_prediction(
         )
     if residual > MOST_RESIDUAL:
         diagnostics.append(
-            f"requested reflectance cannot be reached at this structure: error up to {residual:.2f}"
+            f"requested reflectance cannot be reached at this point of the map: error up to {residual:.2f}"
         )
     return tuple(diagnostics)
 

@@ -192,7 +192,8 @@ class Embedding:
             model.notes = (f"{path.name}: {OLD_LAYOUT}",)
         if library.content_hash != stored.library_hash:
             change = (
-                f"{library.path.name} is not what {path.name} was fitted to (hash {library.content_hash[:12]}, "
+                f"{library.path.name} differs from the library that {path.name} was fitted to "
+                f"(hash {library.content_hash[:12]}, "
                 f"expected {stored.library_hash[:12]}); predictions use the present files: embed again"
             )
             model.notes += (change,)

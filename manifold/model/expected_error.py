@@ -28,7 +28,7 @@ from manifold.model.settings import Settings
 from manifold.registries import MAPPINGS
 
 LEAST_MATERIALS = 4
-"""With fewer, left-out errors predict nothing."""
+"""Smallest number of materials for which expected errors are calibrated."""
 
 NOT_CALIBRATED = (
     "the model has no expected errors, or those of other lights or an earlier version",
@@ -199,7 +199,7 @@ class LeftOut:
 
     @classmethod
     def from_arrays(cls, stored: Mapping[str, Array], space: LatentSpace) -> LeftOut | None:
-        """Restore the errors from a file's arrays; None if it has none of these lights and this version."""
+        """Restore the errors from a file's arrays; None if they were computed with other lights or another version."""
         names = _ARRAYS + tuple(_BLENDED + name for name in _LEAST if space.takes_colours)
         if not {_PREFIX + name for name in names} <= set(stored):
             return None
@@ -272,7 +272,7 @@ class LeftOut:
 
     @property
     def _calibrated(self) -> tuple[Array, float]:
-        """Places of the materials (n, Q), and a length scale that reaches as many of them as the map's of all."""
+        """Latents of the calibrated materials (n, Q), and the length scale adjusted to their lower density."""
         X, n = self.space.X, len(self.materials)
         return X[self.materials], self.space.kernel.length_scale * (len(X) / n) ** (1.0 / X.shape[1])
 

@@ -144,7 +144,7 @@ class LatentSpace(ABC):
         """Return the bands whose values are compared to find a latent."""
 
     def samples(self, mapped: Array, cosines: Array) -> tuple[Array, Array]:
-        """Return training samples (n, P') from mapped values (N, B_e, P), and cosines (P,) as (P',).
+        """Reshape mapped values (N, B_e, P) to training samples (n, P'), and cosines (P,) to (P',).
 
         By default a row holds one embedding band of a material.
         """

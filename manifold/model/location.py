@@ -30,7 +30,7 @@ _SHOWN_PARTS = 5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reconstruction(Result):
-    """A measured material as others describe it.
+    """A measured material expressed by other materials.
 
     Attributes:
         materials: how many others there are.
@@ -183,7 +183,7 @@ def _filled(file: BsdfFile) -> tuple[MeasuredBRDF, tuple[str, ...]]:
 
 
 def trial_rotations(file: BsdfFile) -> list[float]:
-    """Return azimuths by which a sample may lie turned: 0, or such that its normals spread along x or along y."""
+    """Return candidate rotations of a sample: 0, and those that align the main spread of its normals with x or y."""
     if file.is_isotropic:
         return [0.0]
     rotation = rotation_of(file) or 0.0

@@ -144,7 +144,7 @@ class Manifold(Embedding):
         f in 1/sr. They share one variance, so the deviation is that of each of them.
 
         Raises:
-            UsageError: the model is of kind blend, which has no Gaussian process.
+            UsageError: the model is of kind blend, whose predictions are not those of a Gaussian process.
         Source: Hikichi & Iwasaki, eq. 12.
         """
         space, settings = self._whole_materials(), self.settings
@@ -179,8 +179,8 @@ class Manifold(Embedding):
         They hold for a material with these colours, or, without colours, with those blended from the
         surrounding materials.
 
-        0 at a material's own latent, where the prediction is its file; None if the model is not calibrated, and of a
-        step of a walk, in which the map has no part. `residual` is that of an `Embedded` material, which tells more of
+        0 at a material's own latent, where the prediction is its file; None if the model is not calibrated, or for a
+        step of a walk, which does not use the map. `residual` is that of an `Embedded` material, which tells more of
         its error than its place does.
         """
         if self.left_out is None or self._is_step(x, colours):
@@ -430,7 +430,7 @@ class Manifold(Embedding):
         return Walk((start, end), (self.walked(a), self.walked(b))).at(t)
 
     def walked(self, name: str) -> Walked:
-        """Return a material as an end of walks, cached."""
+        """Return a material prepared as the end of a walk, cached."""
         if name not in self._walked:
             self._walked[name] = Walked.of(self.materials.filled([name])[0])
         return self._walked[name]

@@ -145,7 +145,7 @@ class MaterialCache:
         return fill_unmeasured(file, cells, copy=False) if self.fills_cells else file
 
     def filled_file(self, name: str) -> BsdfFile:
-        """Return a material's file as predictions combine it: `measured_file`, for blends without negative values."""
+        """Return `measured_file`; for blends with negative values set to 0."""
         file = self.measured_file(name)
         if self.is_nonnegative and file.spectra.min() < 0:
             self._cut.add(name)

@@ -37,7 +37,7 @@ FORMAT = "manifold-model"
 FORMAT_VERSION = 4
 LAYOUT = "neighbourhoods"
 """How maps of blends are laid out. Files of version 0.4 name no layout."""
-OLD_LAYOUT = "its map was laid out by version 0.4: embed again, and similar materials lie closer together"
+OLD_LAYOUT = "laid out by version 0.4: run `manifold embed` again to place similar materials closer together"
 _ADDED_SETTINGS = {"as_published": False}  # of earlier files of this version, which lack them
 _OLD_KINDS = {"material": "gplvm"}  # names of earlier versions
 
@@ -134,7 +134,7 @@ def read_model(path: Path) -> ModelRecord:
     _, *version = _HEADER.unpack_from(content.ljust(_HEADER.size))
     if version != [FORMAT_VERSION]:
         raise ModelError(
-            f"{path}: model format {version[0]}, expected {FORMAT_VERSION}; embed again, with `manifold embed`"
+            f"{path}: model format {version[0]}, expected {FORMAT_VERSION}; run `manifold embed` again"
         )
     try:
         return _record_of(content, path)
@@ -206,7 +206,8 @@ def open_library(path: Path, stored: ModelRecord, library: Library | Path | str 
         library = stored.library
         if not shipped.exists(library):
             raise LibraryError(
-                f"{path}: its library is not at {library}; give its place by --library FOLDER, or library= in Python"
+                f"{path}: its library is not at {library}; give its location with --library FOLDER, "
+                "or library= in Python"
             )
     if not isinstance(library, Library):
         library = Library(library)
@@ -238,7 +239,7 @@ def restore(path: Path, stored: ModelRecord) -> tuple[Settings, LatentSpace, Lef
         left_out = LeftOut.from_arrays(stored.arrays, space)
     except UnknownNameError as error:
         raise ModelError(
-            f"{path}: {error}; register your own before you load the model, as in "
+            f"{path}: {error}; register your kernel before you load the model, as in "
             "manifold.registries.KERNELS['name'] = Class"
         ) from error
     except UsageError as error:

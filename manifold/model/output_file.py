@@ -76,7 +76,7 @@ def output_file(
     description: str = "",
     keeps_hue: bool = False,
 ) -> OutputFile:
-    """Measure a BRDF without negative values into a file.
+    """Sample a non-negative BRDF into an RGL file.
 
     A file whose albedo exceeds 1.05 is measured again with twice as many incidences, which resolve sharp highlights
     near grazing, and returned so where its albedo then does not. A file with a valley beside its highlight is measured
@@ -145,7 +145,7 @@ class WrittenFile:
         return (*diagnostics.of_prediction(False, self.plausibility), *self.projection)
 
     def expected(self, errors: Errors[Number]) -> Errors[Number]:
-        """Return the expected errors of the file for those of the BRDF before it was made physical."""
+        """Add the change made by the physical projection to the expected errors of the BRDF."""
         return errors if self.change is None else errors.beside(self.change)
 
 

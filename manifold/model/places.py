@@ -43,7 +43,7 @@ class Place:
 
 PlaceLike = Place | Array | Sequence[float] | str
 """A place; a latent (Q,); or as text: the name of a material that lies there, `FROM:TO:T` on the walk between two
-materials, or coordinates with commas between. A material called `0,0` comes before these coordinates."""
+materials, or coordinates with commas between. A material called `0,0` takes precedence over these coordinates."""
 
 
 def parse_walk(text: str, names: Collection[str]) -> tuple[str, str, float] | None:

@@ -96,7 +96,7 @@ class PredictedBRDF(NotebookPicture):
         self._is_per_band = combination.sample_bands is not None
         weights = np.asarray(combination.weights, dtype=np.float64)
         if not np.any(weights):
-            raise ShapeError("all weights are zero, as of black; expected a colour that reflects something")
+            raise ShapeError("all weights are zero (black); choose a colour with a reflectance above 0")
         expected: tuple[int, ...] = (len(materials),)
         if self._is_per_band:
             n_samples = len(materials) * materials[0].bands.count
@@ -135,7 +135,7 @@ class PredictedBRDF(NotebookPicture):
         ]
 
     def _sampled_parts(self, totals: Array) -> tuple[Array, list[LobeSampling]]:
-        """Return sampling weights of materials and lobes from those of samples or atoms.
+        """Return the sampling weights of materials and lobes, summed over their samples or atoms.
 
         Lobes without weight are dropped.
         """
@@ -253,7 +253,7 @@ class PredictedBRDF(NotebookPicture):
 
     @cached_property
     def _sums(self) -> list[WeightedSum | _MappedSum]:
-        """Mapped materials added up: all together, or each by itself where bands have weights."""
+        """Weighted sums of mapped materials: one sum, or one per material if weights differ by band."""
         parts: list[tuple[Sequence[BRDF], Array]] = [(self._materials, self._weights)]
         if self._is_per_band:
             parts = [([material], np.ones(1)) for material in self._materials]

@@ -231,7 +231,7 @@ class _NumberSearch:
         return (1 if term.is_shared else len(self._target)) + (term.atom != self._lambertian)
 
     def _candidates(self, terms: Sequence[_Term], weights: Array, left: int) -> list[_Term]:
-        """Return the terms of at most `left` numbers that save most error by themselves."""
+        """Return the terms that each reduce the error most and cost at most `left` numbers."""
         fitted = weights @ self._atoms[[term.atom for term in terms]]
         slopes = ((self._target - fitted * self._slopes) * self._slopes) @ self._atoms.T  # [B, n]
         gains = (

@@ -18,7 +18,7 @@ MOST_LAID_OUT = 300
 """Number of materials up to which a map of blends lays out all of them; the GPLVM takes no more."""
 _LANDMARKS = 150
 SAMPLE_BANDS = 5
-"""Bands per material, at most, of which colours of blends, and reconstructions, are made."""
+"""Largest number of bands per material in colour paths and reconstructions."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Settings(ABC):
     def __new__(cls, *args: Any, **options: Any) -> Self:
         """Raise UsageError for settings of no kind."""
         if cls is Settings:
-            raise UsageError("Settings has no kind, expected BlendSettings or GplvmSettings")
+            raise UsageError("Settings is abstract; use BlendSettings or GplvmSettings")
         return super().__new__(cls)
 
     def __post_init__(self) -> None:
@@ -69,9 +69,9 @@ class BlendSettings(Settings):
     """The settings of a map of blends: every point is a non-negative combination of the cube roots of materials.
 
     Attributes: those of `Settings`, and
-        sample_bands: bands per material of which colours are made, at most.
-        landmarks: number of materials that are laid out, the others being located among them; None is all of at most
-            300 materials, and 150 of more.
+        sample_bands: largest number of bands per material from which colours are mixed.
+        landmarks: number of materials that are laid out, the others being located among them; None: all materials up
+            to 300, otherwise 150.
     """
 
     sample_bands: int = SAMPLE_BANDS
@@ -137,7 +137,9 @@ class GplvmSettings(Settings):
 
     def __post_init__(self) -> None:
         if not isinstance(self.kernel, str):
-            raise UsageError(f"kernel {self.kernel!r}, expected a name, which a model's file can hold")
+            raise UsageError(
+                f"kernel {self.kernel!r}, expected a kernel's name, because a model file cannot store a class"
+            )
         super().__post_init__()
         MAPPINGS[self.mapping]  # checks it
         if self.optimizer not in OPTIMIZERS:
@@ -174,4 +176,4 @@ KINDS: dict[str, type[BlendSettings] | type[GplvmSettings]] = {
 
 def _require_whole(name: str, value: object, least: int) -> None:
     if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
-        raise UsageError(f"{name} is {value!r}, expected a whole number from {least}")
+        raise UsageError(f"{name} is {value!r}, expected a whole number of at least {least}")

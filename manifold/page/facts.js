@@ -41,7 +41,7 @@ export const facts = {
     const valley = Math.max(...(isShown ? this.slices : prediction.slices("D65")).map(highlightValley));
     if (valley > VALLEY) found.push(`dark hole or ring near the mirror direction: ${percent(valley)} deep`);
     if (prediction.residual > RESIDUAL) {
-      found.push(`requested reflectance cannot be reached at this structure: error up to ${prediction.residual.toFixed(2)}`);
+      found.push(`requested reflectance cannot be reached at this point of the map: error up to ${prediction.residual.toFixed(2)}`);
     }
     const most = Math.max(...(isShown ? this.reflectance : prediction.reflectance()));
     if (most > 1.05) found.push(`not energy-conserving: reflectance ${most.toFixed(2)}`);

@@ -30,7 +30,7 @@ def require_plugins(types: Iterable[object], origin: str) -> None:
             )
         if name not in _KEYWORDS and name not in backend.own_plugins() and not backend.is_registered(name):
             raise FileFormatError(
-                f"{origin}: type '{name}' is no plugin of Mitsuba, and none registered in this process; register it "
+                f"{origin}: type '{name}' is neither a plugin of Mitsuba nor registered in this process; register it "
                 "from Python first"
             )
 

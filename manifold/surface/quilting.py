@@ -187,7 +187,7 @@ def _owners(values: Array, strips: Sequence[Sequence[Patch]], uses: Array, size:
 
 
 def _seams(before: Array, after: Array, *, is_closed: bool = False) -> Indices:
-    """Return how many pixels of each line are shown of the patch before the seam, (K, N).
+    """Return, for each line, the number of pixels taken from the patch before the seam, (K, N).
 
     Args:
         before, after: overlaps of K pairs of patches, N lines across the seam; the last channel is the use of each

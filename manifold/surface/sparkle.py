@@ -90,7 +90,7 @@ class DrawnFlakes:
 
     @property
     def facet(self) -> Facet:
-        """Return the facet that covers that share of the pixel."""
+        """Return the facet that covers this share of a pixel."""
         return Facet(GGX.isotropic(self.flakes.roughness), self.flakes.reflectance / self.share)
 
     @property

@@ -116,7 +116,7 @@ def _left_out(albedo: Array, rows: slice, columns: slice, dust: Mask) -> tuple[s
 
 
 def uncropped(albedo: Array) -> tuple[slice, slice]:
-    """Return rows and columns without an aperture's shade: edges whose brightness differs from the sample's."""
+    """Return the rows and columns that are left after cropping edges shaded by the aperture."""
     grey = albedo.mean(axis=-1)
     kept = []
     for axis in range(2):

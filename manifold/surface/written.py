@@ -96,7 +96,7 @@ def read_surface(path: Path | str) -> WrittenSurface:
     if drawn is not None:
         pictures |= {kind: read_display(files[kind]) for kind in ("flakes", "flake_weights")}
     if odd := [kind for kind, values in pictures.items() if values.shape != pictures["albedo"].shape]:
-        raise FileFormatError(f"{files[odd[0]]}: has another size than {files['albedo'].name}; {_ADVICE}")
+        raise FileFormatError(f"{files[odd[0]]}: differs in size from {files['albedo'].name}; {_ADVICE}")
     normal = _normals(pictures["normal"])
     textures = Textures(
         decode_srgb(pictures["albedo"]) / mean, normal[..., :2] / normal[..., 2:], pictures["height"][..., 0]

@@ -234,14 +234,14 @@ def test_a_library_that_gained_a_material_is_one_warning(run, moved):
     small_library(moved / "more", names=("syn_satin_blue",), library=moved / "elsewhere.zarr")
     status, _, err = run("info", "model.h5", "-L", "elsewhere.zarr", cwd=moved)
     assert status == 0
-    assert "warning: elsewhere.zarr is not what model.h5 was fitted to" in one_line(err)
+    assert "warning: elsewhere.zarr differs from the library that model.h5 was fitted to" in one_line(err)
     status, out, _ = run("predict", "--latent", "0,0", "-L", "elsewhere.zarr", "--json", "-", cwd=moved)
     document = json.loads(out)
-    assert "is not what model.h5 was fitted to" in document["warnings"][0]
+    assert "differs from the library that model.h5 was fitted to" in document["warnings"][0]
     assert document["warnings"][0] in document["diagnostics"]
     status, out, err = run("predict", "--latent", "0,0", "-L", "elsewhere.zarr", "--strict", cwd=moved)
     assert (status, out) == (1, "")
-    assert "is not what model.h5 was fitted to" in one_line(err)
+    assert "differs from the library that model.h5 was fitted to" in one_line(err)
 
 
 def test_control_characters_of_files_do_not_reach_the_terminal(run, tmp_path):

@@ -59,10 +59,14 @@ def test_bands_take_any_sequence_and_refuse_what_is_no_axis():
 @pytest.mark.parametrize(
     ("kind", "settings", "message"),
     [
-        (BlendSettings, {"latent_dim": "auto"}, "latent_dim is 'auto', expected a whole number from 1"),
-        (BlendSettings, {"latent_dim": 2.5}, "latent_dim is 2.5, expected a whole number from 1"),
-        (BlendSettings, {"latent_dim": -1}, "latent_dim is -1, expected a whole number from 1"),
-        (BlendSettings, {"sample_bands": 1}, "sample_bands is 1, expected a whole number from 2"),
+        (
+            BlendSettings,
+            {"latent_dim": "auto"},
+            "latent_dim is 'auto', expected a whole number of at least 1",
+        ),
+        (BlendSettings, {"latent_dim": 2.5}, "latent_dim is 2.5, expected a whole number of at least 1"),
+        (BlendSettings, {"latent_dim": -1}, "latent_dim is -1, expected a whole number of at least 1"),
+        (BlendSettings, {"sample_bands": 1}, "sample_bands is 1, expected a whole number of at least 2"),
         (GplvmSettings, {"grid": "fine"}, "no grid is called 'fine'; expected one of default, hikichi"),
     ],
 )
@@ -120,14 +124,17 @@ def test_a_brdf_of_ones_own_becomes_a_file_a_picture_and_a_fit(tmp_path):
         (lambda model, file: model.embed(file), "material to embed: found BsdfFile, without eval, eval_cos"),
         (lambda model, file: model.embed("a.bsdf"), "found str, without bands"),
         (lambda model, file: model.reconstruct(file), "material to reconstruct: found BsdfFile"),
-        (lambda model, file: MeasuredBRDF("a.bsdf"), "found str, expected a file that was read: read_bsdf"),
+        (
+            lambda model, file: MeasuredBRDF("a.bsdf"),
+            "found str, expected a BsdfFile, as returned by read_bsdf",
+        ),
         (lambda model, file: fit_bsdf("a.bsdf"), "the material to fit: found str"),
         (lambda model, file: goniometer.measure(file, "a"), "goniometer.measure: found BsdfFile"),
         (
             lambda model, file: write_bsdf("a.bsdf", Gloss()),
             "found Gloss, expected a BsdfFile; goniometer.measure",
         ),
-        (lambda model, file: model.predict([0.1, 0.2], np.zeros(3)), "all weights are zero, as of black"),
+        (lambda model, file: model.predict([0.1, 0.2], np.zeros(3)), "all weights are zero (black)"),
         (
             lambda model, file: Manifold.fit(model.library, names=["a"], calibrate=False),
             "no material 'a' in library.zarr",

@@ -222,7 +222,7 @@ def test_lamps_are_read_however_their_file_is_laid_out(name, tmp_path):
     [
         ("12\n0 0 1\n", "found 1 lamps, expected 12, as the first line says"),
         ("a.png 0 0 1\nb.png 0 1 1\n", "no lamp of the picture dome 1.png, found those of a.png, b.png"),
-        ("a.png 0 0 1\na.png 0 1 1\n", "line 2: the picture a.png comes twice"),
+        ("a.png 0 0 1\na.png 0 1 1\n", "line 2: the picture a.png occurs twice"),
         ("file,azimuth,elevation\na.png,10,40\n", "found the header file, azimuth, elevation"),
         ("0 0 1 2 3\n", "line 1: found '0 0 1 2 3'"),
         ("0 0 1 -1\n", "line 1: an intensity that is not above 0"),

@@ -247,7 +247,7 @@ def test_a_light_of_display_values_and_clipped_lamps_are_said(folder, name):
     assert count > 100
     told = {note.split("; ")[0] for note in ball.notes}
     is_clipped = name != "light.exr"
-    assert (f"{name}: its {count} brightest pixels have one value" in told) == is_clipped
+    assert (f"{name}: its {count} brightest pixels have the same value" in told) == is_clipped
     assert (f"{name}: taken as sRGB" in told) == (name == "light.png")
 
 

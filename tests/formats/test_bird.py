@@ -93,7 +93,7 @@ def test_states_of_polarisation_become_their_mean(tmp_path):
         ({"BRDF": {"unit": "%", "values": [0.2, 0.4]}}, "of unit '%'"),
         ({"BRDF": {"unit": "sr^-1", "values": [0.2]}}, "has 2 values, expected 1"),
         ({"theta_i": {"unit": "gon", "values": [1, 2]}}, "of unit 'gon'"),
-        ({"theta_r": {"unit": "deg", "values": ["a", 2]}}, "no numbers of at least 0"),
+        ({"theta_r": {"unit": "deg", "values": ["a", 2]}}, "not numbers of at least 0"),
         ({"wavelength_i": {"unit": "nm", "values": []}}, "has no values"),
         ({"uBRDF": {"unit": "m", "values": [1, 2]}}, "of unit 'm'"),
     ],

@@ -91,5 +91,7 @@ def test_estimators_take_kernels_of_ones_own(rng):
     own, named = (GPLVM(optimizer="l-bfgs", kernel=kernel).fit(Y).embedding_ for kernel in (Own, "se"))
     np.testing.assert_array_equal(own, named)
     assert clone(GPLVM(kernel=Own)).kernel is Own
-    with pytest.raises(UsageError, match="expected a name, which a model's file can hold"):
+    with pytest.raises(
+        UsageError, match="expected a kernel's name, because a model file cannot store a class"
+    ):
         GplvmSettings(kernel=Own)

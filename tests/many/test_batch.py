@@ -212,7 +212,7 @@ def test_what_a_file_is_made_of_has_the_content_of_the_reflectance_and_not_its_p
 
     assert made_of((0.1, 0.2, 0.3)) == made_of((0.1, 0.2, 0.3)) != made_of((0.1, 0.2, 0.4))
     spectrum.rename(tmp_path / "moved.txt")
-    with pytest.raises(UsageError, match="expected a file of a reflectance"):
+    with pytest.raises(UsageError, match="expected a reflectance file"):
         Input("x", PlaceSource(model, "0,0", colour=ColourChoice(reflectance=spectrum))).made_of()
 
 

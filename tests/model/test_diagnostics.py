@@ -53,7 +53,7 @@ def test_an_expected_error_in_words_names_what_it_is_of_and_how_sure_it_is():
     own = Errors(ball=1.6, cube_root=0.04)
     assert diagnostics.in_words(own, 20, "of a material of this colour: ") == (
         [f"of a material of this colour: 1.6 {BALL}", "4 % cube-root error"],
-        "90 % of the errors are below twice the expected",
+        "90 % of true errors are below twice this value",
     )
     assert (
         diagnostics.in_words(own, 5)[-1] == "uncertain by a factor of three: the model has only 5 materials"

@@ -230,7 +230,8 @@ def test_a_map_of_version_0_4_is_read_with_a_note(model, tmp_path):
     assert Manifold.load(path).notes == ()
     _rewritten(path, layout=None)
     note = (
-        "old.h5: its map was laid out by version 0.4: embed again, and similar materials lie closer together"
+        "old.h5: laid out by version 0.4: run `manifold embed` again to place similar materials "
+        "closer together"
     )
     assert Manifold.load(path).notes == ((note,) if model.settings.kind == "blend" else ())
 

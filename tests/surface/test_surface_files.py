@@ -311,7 +311,7 @@ def test_pictures_of_a_surface_are_of_one_size(printed, tmp_path):
     folder = shutil.copytree(printed[1], tmp_path / "made")
     with Image.open(folder / "twin_normal.png") as image:
         image.resize((96, 96)).save(folder / "twin_normal.png")
-    with pytest.raises(FileFormatError, match=r"twin_normal\.png: has another size than twin_albedo\.png"):
+    with pytest.raises(FileFormatError, match=r"twin_normal\.png: differs in size from twin_albedo\.png"):
         read_surface(folder)
 
 
@@ -396,7 +396,7 @@ def test_a_batch_does_not_write_beside_its_workbooks_by_default(tmp_path, librar
     (tmp_path / "surfaces").mkdir()
     workbook(tmp_path / "surfaces" / "twin.xlsx", np.random.default_rng(3))
     result = CliRunner().invoke(app, ["surface", "surfaces", "-L", str(library), "--target", "gltf"])
-    assert "surfaces: is the folder of what is read" in str(result.exception)
+    assert "surfaces: is the input folder" in str(result.exception)
     assert [path.name for path in (tmp_path / "surfaces").iterdir()] == ["twin.xlsx"]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -102,14 +102,10 @@ def measure_coherence(
     `balls` are CIE XYZ (K, 3) of the materials in the judged lights; `predict` returns those of a place (Q,). The
     coherence is None if all materials look alike.
     """
-    lights, white = panel.judged(), srgb_to_xyz(np.ones(3))
-    some, chosen = lights.every(_PIXELS)
-    lab = np.stack([to_lab(xyz[chosen], white).astype(np.float32) for xyz in balls])
-    pairs, kept = list[Pair](), list[float]()
+    lights, pairs, kept = panel.judged(), list[Pair](), list[float]()
     count = min(NEIGHBOURS_COMPARED, len(X) - 1)
-    for i in progress.each(evenly_spaced(len(X), _MEASURED).tolist(), "places between materials"):
-        apart = delta_e_2000_lab(lab, lab[i]) @ some.pixel_weights / len(chosen)
-        similar = _others(np.argsort(apart, kind="stable"), i)[:count]
+    some = progress.each(evenly_spaced(len(X), _MEASURED).tolist(), "places between materials")
+    for i, similar in most_similar(balls, count, some):
         near = _others(np.argsort(np.sum((X - X[i]) ** 2, axis=1), kind="stable"), i)[:count]
         kept.append(len(np.intersect1d(similar, near)) / count)
         j = int(similar[0])
@@ -126,6 +122,20 @@ def measure_coherence(
         float(np.mean(kept)),
     )  # fmt: skip
     return found, pairs
+
+
+def most_similar(
+    balls: Sequence[Array], count: int, materials: Iterable[int]
+) -> Iterator[tuple[int, Indices]]:
+    """Yield materials, each with the `count` others that look most like it, the most similar first.
+
+    `balls` are CIE XYZ (K, 3) of all materials in the judged lights.
+    """
+    white, (some, chosen) = srgb_to_xyz(np.ones(3)), panel.judged().every(_PIXELS)
+    lab = np.stack([to_lab(xyz[chosen], white).astype(np.float32) for xyz in balls])
+    for i in materials:
+        apart = delta_e_2000_lab(lab, lab[i]) @ some.pixel_weights / len(chosen)
+        yield i, _others(np.argsort(apart, kind="stable"), i)[:count]
 
 
 def _others(materials: Indices, i: int) -> Indices:

@@ -215,6 +215,7 @@ def to_document(
         "environments": _environments(),
         "view": ball_colours.VIEW.tolist(),
         "error": error_field(model),
+        "coherence": None if model.coherence is None else model.coherence.statistics,
         "surfaces": [surface_document(surface, model) for surface in surfaces],
     }  # fmt: skip
 

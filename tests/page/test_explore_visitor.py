@@ -176,6 +176,14 @@ def test_a_message_is_seen_wherever_the_page_is_and_can_be_closed(page):
     page.locator("#problem").wait_for(state="hidden")
 
 
+def test_the_page_says_how_far_predictions_between_similar_materials_are_between_them(page, model):
+    control(page, "#coordinates")
+    found = model.coherence
+    expected = f"detour {found.detour:.2f}; 90th percentile {found.detour_p90:.2f}"
+    assert expected in page.locator("#coherence").inner_text()
+    assert page.locator("#depth-help").is_hidden()
+
+
 def test_a_map_without_a_field_of_errors_goes_to_a_material_too(browser, document, tmp_path):
     """As maps of four dimensions are."""
     (tmp_path / "four.html").write_text(make_page(document | {"error": None}), encoding="utf-8")

@@ -40,7 +40,7 @@ def on_the_way(model: Manifold, table: MaterialTable) -> dict[str, list[float]]:
     """Return the median and 90th percentile of detours at shares of the ways to the three most similar materials."""
     lights, balls, X = panel.judged(), table.balls, model.X
     detours: dict[str, list[float]] = {name: [] for name in WAYS}
-    for i, similar in most_similar(balls, SIMILAR, range(len(X))):
+    for i, similar in most_similar(balls.__getitem__, len(X), SIMILAR, range(len(X))):
         for j in similar.tolist():
             apart = lights.compare(balls[i], balls[j]).ball
             if apart < LEAST_APART:

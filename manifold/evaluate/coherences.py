@@ -47,4 +47,4 @@ def measure_map(
     X: Array, at: Callable[[Array], Combination], table: MaterialTable
 ) -> tuple[Coherence | None, list[Pair]]:
     """Return the coherence of a map with places (N, Q), and its pairs, by its prediction `at` a place (Q,)."""
-    return measure_coherence(X, table.balls, lambda x: table.ball(at(x)))
+    return measure_coherence(X, table.balls.__getitem__, lambda x: table.ball(at(x)))

@@ -5,6 +5,8 @@
 A row per number of dimensions, two and three: detours halfway between each material and the one that looks
 most like it (median, 90th percentile, share above 1.5), the five most similar materials among the five nearest, errors
 of left-out materials with the places of the others kept, the hull's share that the data support, and processor seconds.
+Detours of the blends are also those a quarter, half and three quarters of the way from each material to the three that
+look most like it.
 """
 
 from __future__ import annotations
@@ -18,16 +20,37 @@ from typing import Any
 
 import numpy as np
 
+from manifold.colour import panel
 from manifold.evaluate.coherences import coherences
 from manifold.evaluate.report import tabulate_materials
 from manifold.library.store import Library
 from manifold.model.blending import inside_hull
+from manifold.model.coherence import LEAST_APART, most_similar
 from manifold.model.manifold import Manifold
 from manifold.model.materials import MaterialTable
 from manifold.model.settings import BlendSettings
 
 PLACES = 1000  # drawn from the hull
+WAYS = {"quarter": 0.25, "half": 0.5, "three_quarters": 0.75}
+SIMILAR = 3  # materials to which ways lead from each
 KEYS = {"this": "map", "GPLVM": "published"}
+
+
+def on_the_way(model: Manifold, table: MaterialTable) -> dict[str, list[float]]:
+    """Return the median and 90th percentile of detours at shares of the ways to the three most similar materials."""
+    lights, balls, X = panel.judged(), table.balls, model.X
+    detours: dict[str, list[float]] = {name: [] for name in WAYS}
+    for i, similar in most_similar(balls.__getitem__, len(X), SIMILAR, range(len(X))):
+        for j in similar.tolist():
+            apart = lights.compare(balls[i], balls[j]).ball
+            if apart < LEAST_APART:
+                continue
+            for name, t in WAYS.items():
+                between = table.ball(
+                    model.space.combination((1.0 - t) * X[i] + t * X[j], None, model.mapping)
+                )
+                detours[name].append(sum(lights.compare(balls[k], between).ball for k in (i, j)) / apart)
+    return {name: [float(np.median(of)), float(np.quantile(of, 0.9))] for name, of in detours.items()}
 
 
 def measure(library: Library, latent_dim: int) -> dict[str, Any]:
@@ -55,9 +78,9 @@ def measure(library: Library, latent_dim: int) -> dict[str, Any]:
     }
     materials = model.materials.with_negative_values()
     data = tabulate_materials(model, materials)
-    maps, _ = coherences(
-        model, data, MaterialTable(materials, data.bands), is_published_shown=latent_dim == 2
-    )
+    table = MaterialTable(materials, data.bands)
+    row["ways"] = on_the_way(model, table)
+    maps, _ = coherences(model, data, table, is_published_shown=latent_dim == 2)
     for title, c in maps.items():
         row[KEYS.get(title.split()[0], "pca")] = {
             "detour": [c.detour, c.detour_p90], "far_percent": round(100.0 * c.detour_far),

@@ -1,15 +1,18 @@
 """Thousands of materials: time and memory of import, embedding with calibration, predictions and the map.
 
-    python benchmarks/bench_scale.py [--sizes 50,150,500,1500,5000] [--figure FILE.png] [--json FILE]
+    python benchmarks/bench_scale.py [--sizes 50,150,500,1500,5000] [--steps import,embed] [--figure FILE.png]
+                                     [--json FILE]
     python benchmarks/bench_scale.py --compare LIBRARY [--landmarks 0,50] [--latent-dim Q] [--json FILE]
 
 Materials are generated: analytic ones of six kinds with random parameters, as RGB files of 16 x 16 cells and five
 incidences. Every step of every size runs in a process of its own, whose processor time, wall time and peak memory are
-measured. The exponent of a step is the slope of log processor time over log size, of the two largest sizes.
+measured. The exponent of a step is the slope of log processor time over log size, of the two largest sizes. A map's
+detour (median and 90th percentile) and share of kept neighbours are those that `embed` prints, of 200 materials.
 
 With --compare, maps of one library by different numbers of landmarks (0: all materials are laid out): errors of
-materials that are left out, median / 90th percentile, the rank correlation of expected errors with them, and the share
-of random latents inside the hull whose highlight has a hole of over 10 %. Results are added to those of a --json file.
+materials that are left out, median / 90th percentile, the rank correlation of expected errors with them, detour and
+kept neighbours, and the share of random latents inside the hull whose highlight has a hole of over 10 %. Results are
+added to those of a --json file.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from bench_interior import Interior
@@ -46,6 +50,8 @@ from manifold.pictures.maps import latent_map
 SIZES = (50, 150, 500, 1500, 5000)
 RGB = Bands(None)
 NODES, INCIDENCES, WARP_NODES = 16, 5, 32  # of generated files
+STEPS = ("import", "embed", "predict", "map", "page")
+ERRORS = ("ball", "blended_ball", "cube_root")  # of the comparison
 PREDICTIONS = 10
 PLACES = 100  # random latents of a seed of the comparison
 
@@ -132,11 +138,24 @@ def page_step(model: Path) -> None:
     write_page(model, model.parent / "page.html")
 
 
-def run_sizes(sizes: list[int], folder: Path) -> dict[str, list[Run]]:
-    """Every step at every size."""
+def coherence_of(model: Manifold) -> dict[str, Any]:
+    """How well a map keeps similar materials together, as `embed` measured it."""
+    found = model.coherence
+    assert found is not None
+    return {
+        "detour": [found.detour, found.detour_p90], "far_percent": round(100.0 * found.detour_far),
+        "kept_percent": round(100.0 * found.neighbours_kept),
+    }  # fmt: skip
+
+
+def run_sizes(
+    sizes: list[int], folder: Path, chosen: list[str]
+) -> tuple[dict[str, list[Run]], dict[str, dict[str, object]]]:
+    """Run the chosen steps at every size; return their times, and the coherence of the maps by size."""
     files = folder / "files"
     files.mkdir(parents=True, exist_ok=True)
-    rows: dict[str, list[Run]] = {step: [] for step in ("import", "embed", "predict", "map", "page")}
+    rows: dict[str, list[Run]] = {step: [] for step in chosen}
+    coherences: dict[str, dict[str, object]] = {}
     for size in sizes:
         here = folder / str(size)
         here.mkdir(exist_ok=True)
@@ -146,13 +165,16 @@ def run_sizes(sizes: list[int], folder: Path) -> dict[str, list[Run]]:
             "import": (import_step, [library, sorted(files.iterdir())[:size]]), "embed": (embed_step, [library, model]),
             "predict": (predict_step, [model]), "map": (map_step, [model]), "page": (page_step, [model]),
         }  # fmt: skip
-        for name, (step, arguments) in steps.items():
+        for name in chosen:
+            step, arguments = steps[name]
             found = measured(step, *arguments)
             rows[name].append(found)
             print(size, name, {key: round(value, 2) for key, value in found.items()}, flush=True)
-        bytes_of = {path.name: path.stat().st_size for path in (model, here / "page.html")}
-        print(f"{size}:", ", ".join(f"{name} {count / 1e6:.1f} MB" for name, count in bytes_of.items()))
-    return rows
+        written = [path for path in (model, here / "page.html") if path.exists()]
+        sizes_of = ", ".join(f"{path.name} {path.stat().st_size / 1e6:.1f} MB" for path in written)
+        coherences[str(size)] = coherence_of(Manifold.load(model))
+        print(f"{size}: {sizes_of}; {coherences[str(size)]}", flush=True)
+    return rows, coherences
 
 
 def print_table(sizes: list[int], rows: dict[str, list[Run]]) -> None:
@@ -192,10 +214,9 @@ def draw(sizes: list[int], rows: dict[str, list[Run]], path: Path) -> None:
 
 def compare(library: Path, landmarks: list[int], latent_dim: int) -> dict[str, dict[str, object]]:
     """A row per number of landmarks, printed too."""
-    print(
-        "| landmarks | ball: left out, rank correlation | cube root: left out, rank correlation | holes | processor s |"
-    )
-    print("|---|---|---|---|---|")
+    of_errors = [f"{kind}: left out, rank correlation" for kind in ERRORS]
+    print(" | ".join(["| landmarks", *of_errors, "detour", "kept", "holes", "processor s |"]))
+    print("|---" * (len(ERRORS) + 5) + "|")
     rows: dict[str, dict[str, object]] = {}
     for count in landmarks:
         used = time.process_time()
@@ -208,16 +229,19 @@ def compare(library: Path, landmarks: list[int], latent_dim: int) -> dict[str, d
             interior = Interior(model, seed)
             valleys = [plausibility(model.predict(interior.draw())).highlight_valley for _ in range(PLACES)]
             holes.append(float(np.mean(np.array(valleys) > 0.1)))
-        row: dict[str, object] = {"holes": holes, "cpu_s": used}
-        for name, found in calibration.items():
-            row |= {name: list(found.true), f"{name}_rank": found.rank_correlation}
+        kept = coherence_of(model)
+        row: dict[str, object] = {"holes": holes, "cpu_s": used, **kept}
+        for name in ERRORS:
+            row |= {name: list(calibration[name].true), f"{name}_rank": calibration[name].rank_correlation}
         rows[str(count or "all")] = row
         cells = [
             f"{found.true[0]:.3g} / {found.true[1]:.3g}, {found.rank_correlation:.2f}"
-            for found in calibration.values()
+            for found in (calibration[name] for name in ERRORS)
         ]
+        detour = " / ".join(f"{value:.2f}" for value in kept["detour"])
         shares = ", ".join(f"{share:.0%}" for share in holes)
-        print(f"| {count or 'all'} | " + " | ".join(cells) + f" | {shares} | {used:.0f} |", flush=True)
+        cells += [detour, f"{kept['kept_percent']} %", shares, f"{used:.0f}"]
+        print(f"| {count or 'all'} | " + " | ".join(cells) + " |", flush=True)
     return rows
 
 
@@ -234,6 +258,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--sizes", default=",".join(map(str, SIZES)))
+    parser.add_argument("--steps", default=",".join(STEPS), help="import and embed are needed")
     parser.add_argument("--folder", type=Path, help="where files and libraries are kept; by default nowhere")
     parser.add_argument("--figure", type=Path)
     parser.add_argument("--json", type=Path)
@@ -247,10 +272,10 @@ def main() -> None:
         return
     sizes = [int(size) for size in given.sizes.split(",")]
     with tempfile.TemporaryDirectory() as temporary:
-        rows = run_sizes(sizes, given.folder or Path(temporary))
+        rows, coherences = run_sizes(sizes, given.folder or Path(temporary), given.steps.split(","))
     print_table(sizes, rows)
     steps = {step: dict(zip(map(str, sizes), runs, strict=True)) for step, runs in rows.items()}
-    record(given.json, {"steps": steps})
+    record(given.json, {"steps": steps, "coherence": coherences})
     if given.figure:
         draw(sizes, rows, given.figure)
 

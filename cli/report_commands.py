@@ -196,18 +196,21 @@ def chart(
 
 def _write_chart(chart: Chart, results: terminal.Results, output: Path | None) -> None:
     from manifold.core.judged_lights import BALL_COLUMN
+    from manifold.model.coherence import NEIGHBOURS_COMPARED
     from manifold.pictures import figures
     from manifold.study import chart_figure
     from manifold.study.chart import conclusion
 
     if said := conclusion(chart):
         results.sentence(said)
-    columns = f"setting,{BALL_COLUMN},front,cube root,front,linear,front,ITP,RMSE,predict,MB,fit"
+    columns = f"setting,{BALL_COLUMN},front,cube root,front,linear,front,ITP,RMSE,detour,kept,predict,MB,fit"
     results.table(columns.split(","), _chart_rows(chart))
     results.text(
         "front: on the Pareto front against P time to predict, B bytes, F time to fit.\n"
         f"predict, fit: multiples of a reference, here {1e3 * chart.reference_seconds:.3g} ms of a core; "
         f"each material is left out once, in {chart.folds} folds.\n"
+        "detour, kept: of a map of all materials. Detour halfway between the most similar ones (median; 1 lies "
+        f"between them); share of the {NEIGHBOURS_COMPARED} most similar among the {NEIGHBOURS_COMPARED} nearest.\n"
     )
     for row in chart.rows:
         if row.warnings:
@@ -220,6 +223,8 @@ def _write_chart(chart: Chart, results: terminal.Results, output: Path | None) -
 
 
 def _chart_rows(chart: Chart) -> list[list[str]]:
+    from manifold.core.names import percent
+
     def letters(error: str, key: str) -> str:
         return "".join(_LETTERS[cost] for cost, keys in chart.fronts[error].items() if key in keys)
 
@@ -229,8 +234,9 @@ def _chart_rows(chart: Chart) -> list[list[str]]:
             f"{row.median.ball:.2f}", letters("ball", row.key),
             f"{row.median.cube_root:.3f}", letters("cube_root", row.key),
             f"{row.median.linear:.3f}", letters("linear", row.key),
-            f"{row.median.ball_itp:.2f}", f"{row.median.rmse:.3g}", f"{row.predict.median:.3g}",
-            f"{row.bytes / 1e6:.3g}", "" if row.fit is None else f"{row.fit.median:.3g}",
+            f"{row.median.ball_itp:.2f}", f"{row.median.rmse:.3g}",
+            *(("", "") if (c := row.coherence) is None else (f"{c.detour:.2f}", percent(c.neighbours_kept))),
+            f"{row.predict.median:.3g}", f"{row.bytes / 1e6:.3g}", "" if row.fit is None else f"{row.fit.median:.3g}",
         ]
         for row in chart.rows
     ]  # fmt: skip

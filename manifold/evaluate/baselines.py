@@ -74,6 +74,24 @@ def fit_pca(mapping_name: str, count: int) -> Fit:
     return fit
 
 
+def principal_components(
+    mapping_name: str, count: int, data: Data
+) -> tuple[Array, Callable[[Array], Combination]]:
+    """Return the scores (N, Q) of all materials, and the prediction at scores (Q,)."""
+    mapping, N = MAPPINGS[mapping_name], data.n_materials
+    S = data.gram(mapping)
+    mean = S.mean(axis=1)
+    values, vectors = np.linalg.eigh(S - mean[:, None] - mean[None] + mean.mean())
+    kept = min(count, N - 1)
+    U, scale = vectors[:, ::-1][:, :kept], np.sqrt(values[::-1][:kept])
+
+    def at(x: Array) -> Combination:
+        shift = U @ (x / scale)
+        return Combination(mapping, 1.0 / N + shift - shift.mean())
+
+    return U * scale, at
+
+
 def _squared_distances(G: Array, i: int, training: Indices) -> Array:
     """Return squared distances of material i from the training materials, by inner products G (N, N)."""
     return G[i, i] + np.diag(G)[training] - 2.0 * G[i, training]

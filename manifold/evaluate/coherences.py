@@ -5,9 +5,8 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 
-import numpy as np
-
 from manifold.core.records import Array
+from manifold.evaluate.baselines import principal_components
 from manifold.evaluate.latent_models import AFTER_PUBLISHED, fit_map
 from manifold.evaluate.method_data import Data
 from manifold.gpr import IsolatedLatentsWarning
@@ -16,7 +15,6 @@ from manifold.model.combination import Combination
 from manifold.model.expected_error import coherence_of
 from manifold.model.manifold import Manifold
 from manifold.model.materials import MaterialTable
-from manifold.registries import MAPPINGS
 
 THIS_MODEL = "this model"
 """Title of the model that a report evaluates."""
@@ -41,7 +39,7 @@ def coherences(
             found["GPLVM after Hikichi & Iwasaki"] = measure_map(*fit_map(AFTER_PUBLISHED, data), table)[0]
     count = min(model.settings.latent_dim, data.n_materials - 1)
     title = f"{count} principal components, cube root"
-    found[title] = measure_map(*_principal_components(data, count), table)[0]
+    found[title] = measure_map(*principal_components(_PCA_MAPPING, count, data), table)[0]
     return {title: measured for title, measured in found.items() if measured is not None}, pairs
 
 
@@ -49,19 +47,4 @@ def measure_map(
     X: Array, at: Callable[[Array], Combination], table: MaterialTable
 ) -> tuple[Coherence | None, list[Pair]]:
     """Return the coherence of a map with places (N, Q), and its pairs, by its prediction `at` a place (Q,)."""
-    return measure_coherence(X, table.balls, lambda x: table.ball(at(x)))
-
-
-def _principal_components(data: Data, count: int) -> tuple[Array, Callable[[Array], Combination]]:
-    """Return scores (N, Q) of the materials, and the prediction at scores (Q,)."""
-    mapping, N = MAPPINGS[_PCA_MAPPING], data.n_materials
-    S = data.gram(mapping)
-    mean = S.mean(axis=1)
-    values, vectors = np.linalg.eigh(S - mean[:, None] - mean[None] + mean.mean())
-    U, scale = vectors[:, ::-1][:, :count], np.sqrt(values[::-1][:count])
-
-    def at(x: Array) -> Combination:
-        shift = U @ (x / scale)
-        return Combination(mapping, 1.0 / N + shift - shift.mean())
-
-    return U * scale, at
+    return measure_coherence(X, table.balls.__getitem__, lambda x: table.ball(at(x)))

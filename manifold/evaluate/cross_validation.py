@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from manifold.core.errors import ShapeError
-from manifold.core.records import Indices
+from manifold.core.records import Array, Indices
 from manifold.core.threads import one_blas_thread
 from manifold.evaluate.method_data import Data
 from manifold.evaluate.storage_forms import WHOLE, Storage
@@ -25,6 +25,9 @@ Encode = Callable[[int], Combination]
 
 Fit = Callable[[Data, Indices], Encode]
 """A function of data and training indices that returns an encoder of any material."""
+
+Map = Callable[[Data], tuple[Array, Callable[[Array], Combination]]]
+"""A function of data that returns the places (N, Q) of all materials, and the prediction at a place (Q,)."""
 
 Split = tuple[Indices, Indices]
 """Indices of the materials to learn from, and of those to predict."""
@@ -48,6 +51,7 @@ class Method:
         storage: how the measured files are stored.
         threshold: weights below this share of the largest one are dropped.
         is_dense: whether every material is resampled to the grid of 1,458,000 direction pairs.
+        map: of all materials, if the method has one.
     """
 
     key: str
@@ -62,6 +66,7 @@ class Method:
     storage: Storage = WHOLE
     threshold: float = 0.0
     is_dense: bool = False
+    map: Map | None = None
 
 
 def leave_out(n_materials: int, n_folds: int | None = None) -> list[Split]:

@@ -20,11 +20,13 @@ from manifold.core.metrics import Errors
 from manifold.core.pairs import Pairs, RusinkiewiczGrid
 from manifold.core.records import Array, BsdfFile, evenly_spaced
 from manifold.evaluate import storage_forms
+from manifold.evaluate.coherences import measure_map
 from manifold.evaluate.cross_validation import Fit, Method, cross_validate, leave_out
 from manifold.evaluate.errors import MethodErrors
 from manifold.evaluate.method_data import MAX_BANDS, Data, band_shares
 from manifold.evaluate.stopwatch import RelativeTime, Stopwatch, some_pairs
 from manifold.evaluate.storage_forms import Storage
+from manifold.model.coherence import Coherence
 from manifold.model.combination import Combination, Values, evaluate
 from manifold.model.materials import MaterialTable
 from manifold.model.prediction import PredictedBRDF
@@ -51,6 +53,7 @@ class ChartRow(MethodErrors):
         predict: time to predict a whole material, at all direction pairs at which it is stored.
         bytes: of what predictions read: files, and the numbers of all materials.
         warnings: what fits warned of, once per fold.
+        coherence: of the map of all materials; None for methods without a map, and if all materials look alike.
     """
 
     family: str
@@ -58,6 +61,7 @@ class ChartRow(MethodErrors):
     predict: RelativeTime
     bytes: int
     warnings: tuple[str, ...] = ()
+    coherence: Coherence | None = None
 
 
 class HeldOut:
@@ -89,6 +93,7 @@ class HeldOut:
         self._block = some_pairs(_BLOCK_PAIRS, grid)
         # Settings that differ only in how files are stored, or in their threshold, share a fit.
         self._fits: dict[Fit, _Fitted] = {}
+        self._coherences: dict[Fit, Coherence | None] = {}
         self._stored: StoredMaterials | None = None
         once = [
             self.watch.laps(partial(material.eval_at, self._block), _REPEATS)
@@ -118,7 +123,7 @@ class HeldOut:
         return ChartRow(
             key=setting.key, title=setting.title, family=setting.family,
             errors=stored.errors(combinations), fit=fit, predict=RelativeTime.of_several(predict),
-            bytes=self._bytes(setting, stored), warnings=warned,
+            bytes=self._bytes(setting, stored), warnings=warned, coherence=self._coherence(setting),
         )  # fmt: skip
 
     def errors(self, i: int, f: Array, f_ball: Array) -> Errors[float]:
@@ -146,6 +151,16 @@ class HeldOut:
             times = list(map(operator.add, self._tabulating, encoded.fit_times))  # ends with the shorter
             self._fits[fit] = list(encoded.combinations), RelativeTime.of(times), tuple(warned)
         return self._fits[fit]
+
+    def _coherence(self, setting: Method) -> Coherence | None:
+        """Return the coherence of a setting's map; settings that share a fit share it."""
+        if setting.map is None:
+            return None
+        if setting.fit not in self._coherences:
+            with warnings.catch_warnings():  # fits without some materials told them
+                warnings.simplefilter("ignore", UserWarning)
+                self._coherences[setting.fit] = measure_map(*setting.map(self.data), self.balls)[0]
+        return self._coherences[setting.fit]
 
     def _bytes(self, setting: Method, stored: StoredMaterials) -> int:
         B, N = self.data.n_bands, len(self._files)

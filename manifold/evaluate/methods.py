@@ -6,6 +6,7 @@ A new method of reports, or a new setting of charts, is one more entry.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 from manifold.evaluate import storage_forms
 from manifold.evaluate.baselines import (
@@ -16,9 +17,11 @@ from manifold.evaluate.baselines import (
     fit_nonnegative,
     fit_oracle,
     fit_pca,
+    principal_components,
 )
 from manifold.evaluate.cross_validation import Method
-from manifold.evaluate.latent_models import fit_after_published, fit_settings
+from manifold.evaluate.latent_models import AFTER_PUBLISHED as AFTER_PUBLISHED_SETTINGS
+from manifold.evaluate.latent_models import fit_after_published, fit_map, fit_settings
 from manifold.evaluate.storage_forms import Storage
 from manifold.model.settings import SAMPLE_BANDS, BlendSettings, GplvmSettings, Settings
 
@@ -84,12 +87,13 @@ def _model(key: str, title: str, s: Settings) -> Method:
     Q, per_band = s.latent_dim, 2 if isinstance(s, BlendSettings) else 0
     return Method(
         key, title, lambda B: Q + per_band * B, fit_settings(s), fits_model=True, family=_FAMILIES[s.kind],
-        sample_bands=s.sample_bands if isinstance(s, BlendSettings) else None,
+        sample_bands=s.sample_bands if isinstance(s, BlendSettings) else None, map=partial(fit_map, s),
     )  # fmt: skip
 
 
 def _pca(key: str, title: str, mapping: str, count: int) -> Method:
-    return Method(key, title, lambda B: count, fit_pca(mapping, count), family="PCA")
+    scores = partial(principal_components, mapping, count)
+    return Method(key, title, lambda B: count, fit_pca(mapping, count), family="PCA", map=scores)
 
 
 def _nonnegative(title: str, sample_bands: int) -> Method:
@@ -131,6 +135,7 @@ def chart_methods(n_bands: int) -> list[Method]:
             fit_after_published,
             family=AFTER_PUBLISHED,
             is_dense=True,
+            map=partial(fit_map, AFTER_PUBLISHED_SETTINGS),
         ),
         *pcas,
         *gplvms,

@@ -30,7 +30,10 @@ PERPLEXITY = 10.0
 
 _LEAST_PERPLEXITY = 3.0  # with fewer, groups of few samples drift apart without end
 START_NOISE = 1e-3
-"""Noise of the start of a layout, in standard deviations: copies get different places."""
+"""Noise of the starts of a layout, in standard deviations: copies get different places.
+
+It also takes a layout off a line, on which exaggerated attraction can leave it, and where the slope across is zero.
+"""
 
 _FREEDOM = 3.0
 """Degrees of freedom of the t distribution.
@@ -120,10 +123,10 @@ def blend_layout(distance: Array, n_components: int) -> Array:
     apart = np.take_along_axis(distance, others, axis=1)
     objective = LayoutObjective(others, affinities(apart), np.arange(N), np.ones(N))
     X = fix_gauge(_principal_coordinates(distance, n_components))
-    X = X / max(float(X[:, 0].std()), np.finfo(float).tiny)
-    X += START_NOISE * np.random.default_rng(0).normal(size=X.shape)
+    X, rng = X / max(float(X[:, 0].std()), np.finfo(float).tiny), np.random.default_rng(0)
     for exaggeration in _EXAGGERATIONS:
-        X = objective.minimise(X, exaggeration)
+        noise = START_NOISE * X[:, 0].std() * rng.normal(size=X.shape)
+        X = objective.minimise(X + noise, exaggeration)
     return X
 
 

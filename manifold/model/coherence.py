@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -95,28 +95,25 @@ class Coherence:
 
 
 def measure_coherence(
-    X: Array, balls: Sequence[Array], predict: Callable[[Array], Array]
+    X: Array, ball: Callable[[int], Array], predict: Callable[[Array], Array]
 ) -> tuple[Coherence | None, list[Pair]]:
     """Return the coherence of a map of N materials at X (N, Q), and its pairs of similar materials.
 
-    `balls` are CIE XYZ (K, 3) of the materials in the judged lights; `predict` returns those of a place (Q,). The
-    coherence is None if all materials look alike.
+    `ball` returns CIE XYZ (K, 3) of a material in the judged lights, `predict` those of a place (Q,). The coherence is
+    None if all materials look alike.
     """
-    lights, white = panel.judged(), srgb_to_xyz(np.ones(3))
-    some, chosen = lights.every(_PIXELS)
-    lab = np.stack([to_lab(xyz[chosen], white).astype(np.float32) for xyz in balls])
-    pairs, kept = list[Pair](), list[float]()
+    lights, pairs, kept = panel.judged(), list[Pair](), list[float]()
     count = min(NEIGHBOURS_COMPARED, len(X) - 1)
-    for i in progress.each(evenly_spaced(len(X), _MEASURED).tolist(), "places between materials"):
-        apart = delta_e_2000_lab(lab, lab[i]) @ some.pixel_weights / len(chosen)
-        similar = _others(np.argsort(apart, kind="stable"), i)[:count]
+    some = progress.each(evenly_spaced(len(X), _MEASURED).tolist(), "places between materials")
+    for i, similar in most_similar(ball, len(X), count, some):
         near = _others(np.argsort(np.sum((X - X[i]) ** 2, axis=1), kind="stable"), i)[:count]
         kept.append(len(np.intersect1d(similar, near)) / count)
         j = int(similar[0])
-        difference = lights.compare(balls[i], balls[j]).ball
+        ends = ball(i), ball(j)
+        difference = lights.compare(*ends).ball
         if difference >= LEAST_APART:
             between = predict(0.5 * (X[i] + X[j]))
-            way = sum(lights.compare(balls[k], between).ball for k in (i, j))
+            way = sum(lights.compare(end, between).ball for end in ends)
             pairs.append(Pair(i, j, difference, way / difference))
     if not pairs:
         return None, []
@@ -126,6 +123,20 @@ def measure_coherence(
         float(np.mean(kept)),
     )  # fmt: skip
     return found, pairs
+
+
+def most_similar(
+    ball: Callable[[int], Array], of: int, count: int, materials: Iterable[int]
+) -> Iterator[tuple[int, Indices]]:
+    """Yield some `of` all materials, each with the `count` others that look most like it, the most similar first.
+
+    `ball` returns CIE XYZ (K, 3) of a material in the judged lights.
+    """
+    white, (some, chosen) = srgb_to_xyz(np.ones(3)), panel.judged().every(_PIXELS)
+    lab = np.stack([to_lab(xyz[chosen], white).astype(np.float32) for xyz in map(ball, range(of))])
+    for i in materials:
+        apart = delta_e_2000_lab(lab, lab[i]) @ some.pixel_weights / len(chosen)
+        yield i, _others(np.argsort(apart, kind="stable"), i)[:count]
 
 
 def _others(materials: Indices, i: int) -> Indices:

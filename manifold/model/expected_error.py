@@ -345,21 +345,29 @@ def coherence_of(
     space: LatentSpace, table: MaterialTable, mapping: ValueMapping
 ) -> tuple[Coherence | None, list[Pair]]:
     """Return the coherence of a map of the materials of a table, in blended colours, and its pairs."""
-    return measure_coherence(space.X, table.balls, lambda x: table.ball(space.combination(x, None, mapping)))
+    return measure_coherence(
+        space.X, table.balls.__getitem__, lambda x: table.ball(space.combination(x, None, mapping))
+    )
 
 
 def _landmark_balls(
     space: BlendSpace, materials: MaterialCache, bands: Indices, samples: BlendSamples
-) -> tuple[list[Array], Callable[[Array], Array]]:
-    """Return CIE XYZ of the balls of all materials, and a function that returns those of a place, from samples."""
+) -> tuple[Callable[[int], Array], Callable[[Array], Array]]:
+    """Return functions that return CIE XYZ of the ball of a material, and of a place, from samples.
+
+    Those of thousands of materials would fill the memory.
+    """
     lights, axis = panel.judged(), materials.library.bands.select(bands.tolist())
 
     def ball(u: Array) -> Array:
         weights = space.paths.weights(u, space.own_colours[:, bands])
         return lights.xyz(combined(weights, samples.on_ball).T ** 3.0, axis)
 
-    materials_of = np.eye(len(space.X))
-    return [ball(u) for u in materials_of], lambda x: ball(space.material_weights(x[None], None)[0])
+    everything = np.arange(len(space.X))
+    return (
+        lambda i: ball((everything == i).astype(np.float64)),
+        lambda x: ball(space.material_weights(x[None], None)[0]),
+    )
 
 
 def _of_several(errors: list[Errors[float]]) -> Errors[Array]:

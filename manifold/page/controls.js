@@ -55,8 +55,11 @@ export const controls = {
     const name = data.error ? data.error.what : "uncertainty";
     this.byId("error-name").textContent = name[0].toUpperCase() + name.slice(1);
     this.byId("legend-text").textContent = data.error
-      ? `${data.error.what}${data.error.blended ? " if the colour is known" : ""}: 0 to ${data.error.most} or more (${data.error.unit})` : "";
+      ? `${data.error.what}${data.error.blended ? " in a given colour" : ""}: 0 to ${data.error.most} or more (${data.error.unit})` : "";
     this.byId("map-legend").hidden = this.byId("hatch-legend").hidden = !data.error;
+    this.byId("coherence-name").hidden = this.byId("coherence").hidden = !data.coherence;
+    this.byId("coherence").textContent = data.coherence
+      ? `halfway between similar materials, detour ${fixed(data.coherence.detour, 2)}; 90th percentile ${fixed(data.coherence.detour_p90, 2)} (1: between both)` : "";
     this.byId("depth-help").hidden = data.X[0].length < 3;
   },
 

@@ -65,8 +65,10 @@ export const facts = {
   },
 
   errorText(error) {
-    const { unit } = this.data.error ?? {}, colour = this.hasBlendedColour() ? "; its colour is blended" : "";
-    return error === 0 ? "none, because a measured material lies there" : `${error.toFixed(unit?.startsWith("CIE") ? 1 : 2)} (${unit}${colour})`;
+    if (error === 0) return "none, because a measured material lies there";
+    const { unit } = this.data.error ?? {}, digits = unit?.startsWith("CIE") ? 1 : 2, text = `${error.toFixed(digits)} (${unit})`;
+    if (!this.hasBlendedColour()) return text;
+    return `${text} of an unknown material located here, its colour not given; ${fieldAt(this.data.error, this.state.x).toFixed(digits)} in a given colour`;
   },
 
   showFacts() {

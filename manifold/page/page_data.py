@@ -51,7 +51,7 @@ _MOST_BALL = 15.0  # CIEDE2000 at which the ground of the map is darkest
 def error_field(model: Manifold) -> dict[str, Any] | None:
     """Return values on a regular grid over the map, the last dimension fastest; None above three dimensions.
 
-    Expected errors of the ball if the colour is known, and, of blends, if it is `blended`; or, of a model that is not
+    Expected errors of the ball in a given colour, and, of blends, in a `blended` one; or, of a model that is not
     calibrated, the posterior over the prior standard deviation; and where the data do not support predictions.
     """
     X = model.X
@@ -215,6 +215,7 @@ def to_document(
         "environments": _environments(),
         "view": ball_colours.VIEW.tolist(),
         "error": error_field(model),
+        "coherence": None if model.coherence is None else model.coherence.statistics,
         "surfaces": [surface_document(surface, model) for surface in surfaces],
     }  # fmt: skip
 

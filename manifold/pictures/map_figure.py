@@ -107,8 +107,8 @@ def draw_expected_error(figure: Figure, axes: Axes, model: Manifold) -> None:
         )
     else:
         ground, norm = left_out.expected(points).ball, LogNorm(*_BALL_RANGE, clip=True)
-        known = " if the colour is known" * model.space.takes_colours
-        words = f"expected error of a prediction{known}: {BALL}"
+        given = " in a given colour" * model.space.takes_colours
+        words = f"expected error of a prediction{given}: {BALL}"
     image = axes.imshow(
         ground.reshape(_GRID, _GRID), extent=(x[0], x[-1], y[0], y[-1]), origin="lower", aspect="auto",
         interpolation="bilinear", cmap=_UNCERTAINTY, norm=norm,

@@ -27,6 +27,7 @@ from manifold.evaluate.held_out import FOLDS, ChartRow, HeldOut
 from manifold.evaluate.methods import chart_methods
 from manifold.evaluate.stopwatch import REFERENCE, REFERENCE_PAIRS, RelativeTime
 from manifold.library.store import Library
+from manifold.model.coherence import Coherence
 from manifold.registries import Registry
 
 ERRORS = {
@@ -130,7 +131,7 @@ def make_chart(
     names = tuple(file.name for file in files)
     for key in only:
         known[key]  # checks it
-    kept = KeptResults(library, f"chart-3 {[*names]} {[*only]} {grid} {fitted} {platform.node()}")
+    kept = KeptResults(library, f"chart-4 {[*names]} {[*only]} {grid} {fitted} {platform.node()}")
     rows = _from_arrays(kept.get())
     how = _How(tuple(only), grid or RusinkiewiczGrid.named("default"), fitted)
     todo = [key for key in only or known if key not in rows]
@@ -230,7 +231,10 @@ def _from_arrays(arrays: Mapping[str, Array]) -> dict[str, ChartRow]:
     rows = {}
     for row in json.loads(arrays["rows"].tobytes()) if arrays else []:
         times = {name: row[name] and RelativeTime(**row[name]) for name in ("fit", "predict")}
-        known = {"errors": Errors.from_json(row["errors"]), "warnings": tuple(row["warnings"])}
+        known = {
+            "errors": Errors.from_json(row["errors"]), "warnings": tuple(row["warnings"]),
+            "coherence": row["coherence"] and Coherence(**row["coherence"]),
+        }  # fmt: skip
         del row["median"], row["p90"]
         rows[row["key"]] = ChartRow(**row | times | known)
     return rows

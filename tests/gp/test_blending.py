@@ -95,6 +95,17 @@ def test_neighbours_of_a_plane_stay_neighbours(rng):
     assert kept > 0.8
 
 
+@pytest.mark.parametrize("step", [1.0, 1.8])
+@pytest.mark.parametrize("groups", [(0.0, 22.0, 34.0), (0.0, 20.0, 40.0), (0.0, 30.0, 50.0)])
+def test_groups_on_a_line_keep_their_width(groups, step):
+    """Three colours in four roughnesses: without noise between the stages one layout in four was a line."""
+    across = [np.eye(2)[i % 2] * step * k for i in range(3) for k in range(4)]
+    truth = np.column_stack([np.repeat(groups, 4), across])
+    X = blend_layout(cdist(truth, truth), 2)
+    widths = np.linalg.svd(X - X.mean(axis=0), compute_uv=False)
+    assert widths[1] > 1e-2 * widths[0]  # a line has 1e-6
+
+
 @pytest.mark.parametrize(("n", "q"), [(6, 4), (6, 5), (8, 6), (12, 8)])
 def test_neighbours_are_within_reach_of_the_kernel_in_many_dimensions_too(rng, n, q):
     """Their hull is all but flat, whose volume says nothing of distances: they lay 10 to 300 length scales apart."""

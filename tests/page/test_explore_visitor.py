@@ -176,6 +176,14 @@ def test_a_message_is_seen_wherever_the_page_is_and_can_be_closed(page):
     page.locator("#problem").wait_for(state="hidden")
 
 
+def test_the_page_says_how_far_predictions_between_similar_materials_are_between_them(page, model):
+    control(page, "#coordinates")
+    found = model.coherence
+    expected = f"detour {found.detour:.2f}; 90th percentile {found.detour_p90:.2f}"
+    assert expected in page.locator("#coherence").inner_text()
+    assert page.locator("#depth-help").is_hidden()
+
+
 def test_a_map_without_a_field_of_errors_goes_to_a_material_too(browser, document, tmp_path):
     """As maps of four dimensions are."""
     (tmp_path / "four.html").write_text(make_page(document | {"error": None}), encoding="utf-8")
@@ -714,7 +722,11 @@ def test_the_expected_error_is_that_of_the_colour_and_place_that_are_shown(page,
         expected = float(model.left_out.expected(np.array(x), is_colour_known=is_known).ball)
         assert float(text.split()[0]) == pytest.approx(expected, rel=0.05)  # between nodes of the page's grid
         assert "(CIEDE2000 of the ball (mean of five lights)" in text
-        assert ("its colour is blended" in text) == (not is_known)
+        assert ("its colour not given" in text) == (not is_known)
+        given = float(model.left_out.expected(np.array(x), is_colour_known=True).ball)
+        if not is_known:
+            number = text.split("; ")[-1].removesuffix(" in a given colour")
+            assert float(number) == pytest.approx(given, rel=0.05)
     walk = {"from": NAMES[0], "to": NAMES[3], "t": 0.5}
     page.evaluate("(change) => window.explorer.change(change)", {"colour": "blend", "path": walk})
     settle(page)

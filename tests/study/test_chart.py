@@ -26,6 +26,8 @@ from manifold.evaluate.methods import AFTER_PUBLISHED, PUBLISHED, chart_methods,
 from manifold.evaluate.stopwatch import RelativeTime, Stopwatch, some_pairs
 from manifold.library.store import Library
 from manifold.model.combination import Combination
+from manifold.model.manifold import Manifold
+from manifold.model.settings import BlendSettings
 from manifold.pictures import figures
 from manifold.registries import MAPPINGS
 from manifold.study import chart_figure
@@ -71,6 +73,16 @@ def test_the_json_has_every_setting_with_finite_measures(made):
         assert min(numbers) > 0, row["key"]
         assert all(row["p90"][name] >= row["median"][name] for name in ERRORS)
         assert min(row[k]["spread"] for k in ("fit", "predict")) >= 0, row["key"]
+
+
+def test_settings_with_a_map_have_its_detour_and_those_that_share_a_fit_share_it(rows, tmp_path):
+    with_maps = {key for key, row in rows.items() if row.coherence is not None}
+    assert with_maps == {key for key in rows if key.split("_")[0] in ("published", "pca", "gplvm", "blend")}
+    assert rows["blend_2_half"].coherence == rows["blend_2"].coherence
+    library = small_library.small_library(tmp_path, names=small_library.NAMES[1:])
+    model = Manifold.fit(library, BlendSettings(2))
+    for name, value in rows["blend_2"].coherence.statistics.items():
+        assert value == pytest.approx(model.coherence.statistics[name], rel=1e-3)  # steps of the layout
 
 
 @pytest.mark.parametrize("cost", COSTS)

@@ -218,5 +218,5 @@ def test_the_results_in_the_documentation_are_of_every_mode():
     kept = json.loads((REPOSITORY / "benchmarks/results/stability.json").read_text())
     assert {one["key"]: one["advice"] for one in kept["modes"]} == {mode.key: mode.advice for mode in MODES}
     wrong = [row["mode"] for row in kept["rows"] if any(r["outcome"] == WRONG for r in row["results"])]
-    assert wrong == ["across_classes"]  # the path of latents
+    assert not wrong
     assert kept["false_alarms"] == 0

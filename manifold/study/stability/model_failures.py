@@ -357,7 +357,6 @@ MODES: tuple[Mode, ...] = (
         },
         "Use `interpolate`: a straight path of latents may pass other materials, and an average of a narrow and a "
         "wide lobe has both lobes, not one of intermediate width.",
-        ("blend",),
     ),
     Mode(
         "bad_starts", "fits from disturbed principal components", "standard deviation, in length scales",

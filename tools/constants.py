@@ -293,18 +293,24 @@ class Figure:
     prepared: Any = None
     base: dict[str, float] = field(default_factory=dict)
     ran: tuple[Ran, ...] = ()
+    seconds: float = 0.0
 
     def run(self) -> None:
-        """Measure with the code as it is, and note the functions that run."""
+        """Measure with the code as it is, and note the functions that run and the processor time."""
+        start = os.times().user
         made, before = traced(self.prepare)
         self.prepared = made
         self.base, after = traced(lambda: self.measure(made))
         self.ran = before, after
+        self.seconds = os.times().user - start
 
     def reads(self, constant: Constant, patch: Patch) -> bool:
         """Return whether the figure is to be measured at another value of a constant."""
-        served = any(f"{constant}.".startswith(f"{subject}.") for subject in self.subjects.split())
-        return served and any(map(patch.is_read_by, self.ran))
+        return self.serves(constant) and any(map(patch.is_read_by, self.ran))
+
+    def serves(self, constant: Constant) -> bool:
+        """Return whether the figure is meant for the constants of a module."""
+        return any(f"{constant}.".startswith(f"{subject}.") for subject in self.subjects.split())
 
     def again(self, patch: Patch) -> dict[str, float]:
         """Measure after a patch."""
@@ -381,15 +387,27 @@ def in_copy(measure: Callable[[], Any]) -> Any:
     return pickle.loads(content) if content else f"no result within {SECONDS} s"
 
 
-def measure_constant(constant: Constant, patch: Patch, value: Any, figure: Figure) -> float | str:
-    """Return how far a figure moves at another value, or the refusal."""
+def measure_constant(
+    constant: Constant, patch: Patch, figures: Sequence[Figure], until: float
+) -> dict[str, list[float | str]]:
+    """Return how far each figure that reads a constant moves at its other values, or the refusal.
 
-    def measure() -> float:
-        forget_cached()
-        patch.apply(constant, value)
-        return moved(figure, figure.again(patch))
+    After a change of `until`, relative, nothing further is measured.
+    """
+    found: dict[str, list[float | str]] = {}
+    for figure in figures:
+        for factor in FACTORS if figure.reads(constant, patch) else ():
 
-    return in_copy(measure)
+            def measure(figure: Figure = figure, factor: float = factor) -> float:
+                forget_cached()
+                patch.apply(constant, changed(constant.value, factor))
+                return moved(figure, figure.again(patch))
+
+            change = in_copy(measure)
+            found.setdefault(figure.name, []).append(change)
+            if not isinstance(change, str) and change >= until:
+                return found
+    return found
 
 
 def chosen(found: list[Constant], names: Sequence[str]) -> list[Constant]:
@@ -419,29 +437,33 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("names", nargs="*", metavar="NAME")
-    parser.add_argument("--json", type=Path, help="write the changes, constant by constant")
+    parser.add_argument(
+        "--json", type=Path, help="write the changes, constant by constant; those that are there are kept"
+    )
+    parser.add_argument(
+        "--until", type=float, default=np.inf, metavar="PERCENT",
+        help="measure nothing further of a constant that moved a figure by this much: half the time",
+    )  # fmt: skip
     parser.add_argument("--list", action="store_true", help="list the constants, and measure nothing")
     given = parser.parse_args()
     found = chosen(constants(), given.names)
     if given.list:
         print(*(f"{one!s:45} {one.value}" for one in found), sep="\n")
         return
-    everywhere = modules()
-    measured = figures()
-    for figure in measured:
-        start = os.times()
-        figure.run()
-        print(f"{figure.name}: {os.times().user - start.user:.1f} s, {len(figure.base)} numbers", flush=True)
     table: dict[str, dict[str, list[float | str]]] = {}
+    if given.json and given.json.exists():
+        table = json.loads(given.json.read_text(encoding="utf-8"))
+    found = [constant for constant in found if str(constant) not in table]
+    everywhere = modules()
+    measured = [figure for figure in figures() if any(map(figure.serves, found))]
+    for figure in measured:
+        figure.run()
+        print(f"{figure.name}: {figure.seconds:.1f} s, {len(figure.base)} numbers", flush=True)
+    measured.sort(key=lambda figure: figure.seconds)
     for constant in found:
         patch = Patch(constant, everywhere)
-        values = [changed(constant.value, factor) for factor in FACTORS]
-        read = [f for f in measured if f.reads(constant, patch)]
-        table[str(constant)] = {
-            figure.name: [measure_constant(constant, patch, value, figure) for value in values]
-            for figure in read
-        }
-        if read:
+        changes = table[str(constant)] = measure_constant(constant, patch, measured, given.until / 100.0)
+        if changes:
             print(row(constant, table[str(constant)]), flush=True)
         if given.json:
             given.json.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")

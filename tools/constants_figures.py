@@ -335,7 +335,7 @@ def nothing() -> None:
 def all_figures() -> list[tuple[str, str, Callable[[], Any], Callable[[Any], dict[str, float]]]]:
     """Return the figures: name, the modules whose constants it serves, preparation, measurement."""
     return [
-        ("completions", "estimate model", atoms, completions),
+        ("completions", "estimate", atoms, completions),
         ("expected", "estimate.expected estimate.completion", atoms, expected),
         ("suggested", "estimate.suggestions estimate.evidence estimate.residual", atoms, suggested),
         (

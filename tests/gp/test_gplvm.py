@@ -290,9 +290,9 @@ def test_a_kernel_that_does_not_bend_between_its_latents_is_linear(rng, scale, i
 
 
 def test_a_usual_fit_is_not_warned_of(rng):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(record=True) as seen:
         GPLVM(optimizer="l-bfgs").fit(curved(rng, 20))
+    assert not seen
 
 
 def test_data_and_their_gram_matrix_give_the_same_latents(rng):

@@ -15,7 +15,7 @@ unexport PYTHONDONTWRITEBYTECODE
 help:
 	@echo "make demo        run all main steps on the built-in corpus, into $(OUT)/"
 	@echo "make test        run the tests, all but the slow ones; CORE=Prescott: as a processor of that type computes"
-	@echo "make test-slow   run the slow ones"
+	@echo "make test-slow   run the slow ones, and make all of the built-in library again to compare it"
 	@echo "make test-machines run the tests as processors of other core types compute, with one thread and two: hours"
 	@echo "make test-lowest run the tests with the oldest versions that pyproject.toml admits, in .venv-lowest"
 	@echo "make check       ruff, mypy, import-linter, circular imports, spelling, formulas, built-in library"
@@ -53,6 +53,7 @@ test-machines: .venv/readydev
 
 test-slow: .venv/readydev
 	$(BIN)/python -m pytest -m slow
+	$(BIN)/python tools/built_in.py --check
 
 test-lowest: .venv/readydev
 	$(BIN)/python -m venv .venv-lowest
@@ -68,7 +69,7 @@ check: .venv/readydev
 	$(BIN)/python tools/house.py --check
 	$(BIN)/codespell *.md docs manifold cli tools benchmarks
 	$(BIN)/python tools/prose.py
-	$(BIN)/python tools/built_in.py --check
+	$(BIN)/python tools/built_in.py --check --some
 
 built-in: .venv/readydev
 	$(BIN)/python tools/built_in.py

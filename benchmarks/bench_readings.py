@@ -29,7 +29,9 @@ from manifold.model.expected_error import Reliability
 
 CASES = 5  # random choices per material
 CHOSEN = 5
-KINDS = ("ball", "cube_root", "linear")
+EXPECTED = ("ball", "cube_root", "linear")
+"""Errors that are expected too."""
+KINDS = (*EXPECTED, "ball_itp")
 
 
 def read(atoms: LibraryAtoms, m: int, at: Array, wi: Array, wo: Array, chosen: Array) -> Readings:
@@ -77,7 +79,7 @@ def suggestions(atoms: LibraryAtoms) -> dict[str, object]:
     instrument = geometry_ma_t12()
     at_instrument = atoms.at(*instrument)
     rng = np.random.default_rng(0)
-    wins = np.zeros((2, 3), int)
+    wins = np.zeros((2, len(KINDS)), int)
     cases = 0
     for m in range(len(atoms.names)):
         own = atoms.material_of == m
@@ -110,15 +112,13 @@ def suggestions(atoms: LibraryAtoms) -> dict[str, object]:
     }
 
 
-def expectations(atoms: LibraryAtoms) -> dict[str, dict[str, object]]:
+def expectations(atoms: LibraryAtoms) -> dict[str, dict[str, dict[str, object]]]:
     """Errors from an instrument's directions and a gloss meter's angles, beside those that are expected."""
     one = aspecular_pair(45.0, 45.0)
     instruments = {"MA-T12": geometry_ma_t12(), "45/0": (one[0][None], one[1][None])}
     nm = atoms.bands.wavelengths_nm
-    print(
-        "| readings | gloss at | linear | cube root | ball | rank correlation | below twice the expected, % |"
-    )
-    rows: dict[str, dict[str, object]] = {}
+    print(f"| readings | gloss at | {' | '.join(KINDS)} | rank correlation | below twice the expected, % |")
+    rows: dict[str, dict[str, dict[str, object]]] = {}
     for name, (wi, wo) in instruments.items():
         for angles in ((), (60,), (20,), (20, 60), (20, 60, 85)):
             blank = Readings(
@@ -127,24 +127,20 @@ def expectations(atoms: LibraryAtoms) -> dict[str, dict[str, object]]:
             )  # fmt: skip
             found = calibrate(atoms, blank)
             both = found.errors, found.left_out
-            of_kind = {
-                kind: Reliability.of(*(getattr(of, kind) for of in both))
-                for kind in ("linear", "cube_root", "ball")
-            }
+            of_kind = {kind: Reliability.of(*(getattr(of, kind) for of in both)) for kind in EXPECTED}
             errors = left_out_errors(atoms, wi, wo, angles)
-            summary = ["{:.2f} / {:.2f}".format(*errors[kind]) for kind in of_kind]
+            summary = ["{:.2f} / {:.2f}".format(*errors[kind]) for kind in KINDS]
             ranks = [f"{one.rank_correlation:.2f}" for one in of_kind.values()]
             below = [f"{100 * one.below_twice:.0f}" for one in of_kind.values()]
             gloss = ", ".join(map(str, angles))
             print(f"| {name} | {gloss} | {' | '.join(summary)} | {', '.join(ranks)} | {', '.join(below)} |")
-            rows["_".join((name, *map(str, angles)))] = {
-                kind: {
-                    "error": errors[kind],
+            row: dict[str, dict[str, object]] = {kind: {"error": errors[kind]} for kind in KINDS}
+            for kind, one in of_kind.items():
+                row[kind] |= {
                     "rank": one.rank_correlation,
                     "percent_below_twice": round(100 * one.below_twice),
                 }
-                for kind, one in of_kind.items()
-            }
+            rows["_".join((name, *map(str, angles)))] = row
     return rows
 
 

@@ -134,6 +134,7 @@ RESULTS = {
     ),
     "readings": Result("bench_readings.py LIBRARY"),
     "completion_errors": Result("bench_completion_errors.py LIBRARY NEURAL --every 3 --tasks of_library"),
+    "designs": Result("bench_designs.py NEURAL"),
     "lights": Result("bench_lights.py FILES"),
     "fit": Result("bench_fit.py --files FILES --appearance-only"),
     "exports": Result("bench_exports.py --files FILES --targets gltf,openpbr"),

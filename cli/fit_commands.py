@@ -261,8 +261,7 @@ def export(
             command = exporting.exports(targets[0], with_pictures=picture, is_pack=pack is not None)
         make_many(results, command, exporting.export_sources(material.path), pack or output)
         return
-    if pack is not None:
-        raise UsageError(f"--pack goes with a library or a folder of files, found {material}; use -o for one")
+    _refuse_pack_of_one(pack, material)
     name = material_name(Path(material.name.removesuffix(".fit.json")))
     if len(targets) > 1:
         folder = or_default(output, ".")
@@ -279,6 +278,11 @@ def export(
     _show_exports(results, [outcome], drawn)
 
 
+def _refuse_pack_of_one(pack: Path | None, material: MaterialSource) -> None:
+    if pack is not None:
+        raise UsageError(f"--pack goes with a library or a folder of files, found {material}; use -o for one")
+
+
 def _export_shader(
     results: terminal.Results, material: MaterialSource, output: Path | None, tolerance: float | None,
     picture: bool, pack: Path | None,
@@ -292,8 +296,7 @@ def _export_shader(
         command = exporting.exports(tolerance, with_pictures=picture, is_pack=pack is not None)
         make_many(results, command, find_inputs([material]), pack or output)
         return
-    if pack is not None:
-        raise UsageError(f"--pack goes with a library or a folder of files, found {material}; use -o for one")
+    _refuse_pack_of_one(pack, material)
     folder = or_default(output, material.name.removesuffix(".fit.json"))
     require_folder(folder, "the files of a shader", ".glsl")
     with progress.shown("Exporting"):

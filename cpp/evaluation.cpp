@@ -342,13 +342,6 @@ INLINE void add_row(const float *RESTRICT row, float weight, bool take_root, int
         for (int b = 0; b < n; ++b) sums[b] += weight * row[b];
 }
 
-void cube_roots(Vector<const float> values, Vector<float> out) {
-    require(values.size() == out.size(), "expected arrays of the same size");
-    const int n = int(values.size());
-    std::fill_n(out.data(), n, 0.0f);
-    fastest([&]() INLINE_LAMBDA { add_row(values.data(), 1.0f, true, n, out.data()); });
-}
-
 // Add the sum of weights f, or of weights times cube roots of f, of K located pairs to total (K, B).
 void add_located(Matrix<const double> located, const std::vector<const Tables *> &materials,
                  Vector<const float> weights, bool take_root, Matrix<float> total) {
@@ -597,7 +590,6 @@ void bind_evaluation(nb::module_ &m) {
     m.def("eval_pairs", &eval_pairs<double>, "wi"_a, "wo"_a, "isotropic"_a, "repeats"_a, "divide"_a, "tables"_a,
           "out"_a.noconvert(), Unlocked());
     m.def("eval_located", &eval_located, "located"_a, "tables"_a, "out"_a.noconvert(), Unlocked());
-    m.def("cube_roots", &cube_roots, "values"_a, "out"_a.noconvert(), Unlocked());
     m.def("add_located", &add_located, "located"_a, "materials"_a, "weights"_a, "take_root"_a,
           "total"_a.noconvert(), Unlocked());
     m.def("locate_pairs", &locate_pairs, "wi"_a, "wo"_a, "isotropic"_a, "repeats"_a, "out"_a.noconvert(), Unlocked());

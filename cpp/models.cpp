@@ -164,12 +164,6 @@ INLINE double radial_of_pair(int family, double squared) {
     return (family == 1 ? 1.0 + a : 1.0 + a + a * a / 3.0) * std::exp(-a);
 }
 
-// `radial_of_pair` of squared distances (K,), into out (K,).
-void radial_of_pairs(int family, Vector<const double> squared, Vector<double> out) {
-    require(squared.size() == out.size(), "expected arrays of the same size");
-    for (size_t k = 0; k < out.size(); ++k) out.data()[k] = radial_of_pair(family, squared.data()[k]);
-}
-
 // The point of a search and what follows from it, as `manifold.gp.likelihood.IncrementalObjective` keeps them: latents
 // X (N, Q), their covariance K, P = K^-1 and the data's S, (N, N) each.
 struct Search {
@@ -269,20 +263,6 @@ Search search_of(Matrix<double> &X, Matrix<double> &K, Matrix<double> &P, Matrix
             ptrdiff_t(N), ptrdiff_t(X.shape(1)), family, inverse_l2, n_outputs, prior};
 }
 
-// Move latent i by delta along axis q, better or worse: whether P has drifted.
-bool move_latent(Matrix<double> X, Matrix<double> K, Matrix<double> P, Matrix<const double> S, Matrix<double> work,
-                 Vector<double> state, int family, double inverse_l2, double n_outputs, double prior,
-                 double largest_drift, double most_moves, ptrdiff_t i, ptrdiff_t q, double delta) {
-    const Search search = search_of(X, K, P, S, work, state, family, inverse_l2, n_outputs, prior);
-    require(0 <= i && i < search.N && 0 <= q && q < search.Q, "expected a coordinate of a latent");
-    bool has_drifted = false;
-    fastest([&]() INLINE_LAMBDA {
-        const Search::Move move = search.try_move(i, q, delta, false);
-        has_drifted = search.make_move(i, q, search.X[i * search.Q + q] + delta, move, largest_drift, most_moves);
-    });
-    return has_drifted;
-}
-
 // Try coordinates both ways from `index` on and keep each improvement, until P has drifted or the budget is spent: the
 // next index, moves tried, whether P has drifted.
 nb::tuple explore(Matrix<double> X, Matrix<double> K, Matrix<double> P, Matrix<const double> S, Matrix<double> work,
@@ -329,10 +309,6 @@ nb::tuple explore(Matrix<double> X, Matrix<double> K, Matrix<double> P, Matrix<c
 
 void bind_models(nb::module_ &m) {
     m.def("solve_nonnegative", &solve_nonnegative, "gram"_a, "cross"_a, "tolerance"_a, "out"_a.noconvert(), Unlocked());
-    m.def("radial_of_pairs", &radial_of_pairs, "family"_a, "squared"_a, "out"_a.noconvert(), Unlocked());
-    m.def("move_latent", &move_latent, "X"_a.noconvert(), "K"_a.noconvert(), "P"_a.noconvert(), "S"_a,
-          "work"_a.noconvert(), "state"_a.noconvert(), "family"_a, "inverse_l2"_a, "n_outputs"_a, "prior"_a,
-          "largest_drift"_a, "most_moves"_a, "i"_a, "q"_a, "delta"_a, Unlocked());
     m.def("explore", &explore, "X"_a.noconvert(), "K"_a.noconvert(), "P"_a.noconvert(), "S"_a, "work"_a.noconvert(),
           "state"_a.noconvert(), "family"_a, "inverse_l2"_a, "n_outputs"_a, "prior"_a, "largest_drift"_a,
           "most_moves"_a, "steps"_a, "heading"_a.noconvert(), "lower"_a, "upper"_a, "index"_a, "budget"_a);

@@ -237,7 +237,7 @@ TARGETS: Registry[Any] = Registry(
     group="brdf_manifold.targets",
     attributes=("name", "suffix", "title", "entries", "parameters", "brdf", "content"),
 )
-"""Targets of `manifold export`, each a `manifold.fit.exports.targets.WrittenFormat`."""
+"""Targets of `manifold export`, each a `manifold.fit.exports.targets.Target`."""
 
 CONVERTED_SUFFIXES = {
     "rgl": (".bsdf",),

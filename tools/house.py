@@ -1,6 +1,8 @@
-"""Count what a reader of the code meets: `python tools/house.py [REVISION ...]`, by default the working tree.
+"""Count what a reader of the code meets.
 
-`python tools/house.py --check` prints circles of imports alone, and fails if there is one.
+    python tools/house.py [REVISION ...]      # by default the working tree
+    python tools/house.py --check             # prints circles of imports only, and fails if there is one
+    python tools/house.py --importers         # lists modules that one other module imports, with their lines
 
 Prints per folder: lines of code (no blank lines, comments or docstrings), functions, classes, code lines in the body of
 a function, and the share of functions that one place refers to. Below are circles of imports: groups of modules that
@@ -13,6 +15,7 @@ functions have, methods between double underscores, and functions with decorator
 
 from __future__ import annotations
 
+import argparse
 import ast
 import io
 import subprocess
@@ -167,11 +170,40 @@ def print_circles(files: dict[str, str]) -> int:
     return count
 
 
+def print_single_importers(files: dict[str, str]) -> None:
+    """Print modules that one other module imports, in the same folder, the shortest first."""
+    importers: dict[str, set[str]] = defaultdict(set)
+    for module, imported in imports(files, in_functions=True).items():
+        for other in imported:
+            importers[other].add(module)
+    rows = []
+    for path, source in files.items():
+        module = path.removesuffix(".py").replace("/", ".")
+        folder = module.rpartition(".")[0]
+        named = {name for name in importers[module] if name != folder}  # __init__ offers it
+        if len(named) == 1:
+            (importer,) = named
+            if importer.startswith(f"{folder}."):
+                rows.append((len(code_lines(source, ast.parse(source))), module, importer))
+    for lines, module, importer in sorted(rows):
+        print(f"{lines:5} {module:45} {importer}")
+
+
 def main() -> None:
     """Print the tables of all revisions, or check the working tree."""
-    if sys.argv[1:] == ["--check"]:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("revisions", nargs="*", metavar="REVISION")
+    parser.add_argument("--check", action="store_true", help="fail on circular imports")
+    parser.add_argument("--importers", action="store_true", help="list modules with one importer")
+    given = parser.parse_args()
+    if given.check:
         sys.exit(print_circles(sources(None)) > 0)
-    for revision in sys.argv[1:] or [None]:
+    if given.importers:
+        print_single_importers(sources(None))
+        return
+    for revision in given.revisions or [None]:
         files = sources(revision)
         print(f"{revision or 'working tree'}")
         print(

@@ -34,9 +34,6 @@ def eval_pairs(
 def eval_located(located: Array, tables: Tables, out: Array) -> None:
     """Write f at K pairs that are located, (K, 5), into out (K, B)."""
 
-def cube_roots(values: Any, out: Any) -> None:
-    """Write signed cube roots of singles (K,), as `add_located` computes them, into out (K,)."""
-
 def add_located(
     located: Array, materials: Sequence[Tables], weights: Any, take_root: bool, total: Any
 ) -> None:
@@ -75,15 +72,6 @@ def interpolate(table: Any, points: Array, out: Array) -> None:
 
 def solve_nonnegative(gram: Array, cross: Array, tolerance: float, out: Array) -> None:
     """Write weights (R, n) >= 0 of atoms with inner products gram (n, n), of unit diagonal, and cross (R, n)."""
-
-def radial_of_pairs(family: int, squared: Array, out: Array) -> None:
-    """Write `Kernel.radial` at squared distances in length scales (K,) into out (K,), by the kernel's index."""
-
-def move_latent(
-    X: Array, K: Array, P: Array, S: Array, work: Array, state: Array, family: int, inverse_l2: float,
-    n_outputs: float, prior: float, largest_drift: float, most_moves: float, i: int, q: int, delta: float,
-) -> bool:  # fmt: skip
-    """Move latent i by delta along axis q; return whether P has drifted. `IncrementalObjective` has the arrays."""
 
 def explore(
     X: Array, K: Array, P: Array, S: Array, work: Array, state: Array, family: int, inverse_l2: float,

@@ -61,7 +61,7 @@ class PhotoRequest:
     """Photographs of one material, and how they were taken. A single value holds for every photograph.
 
     Attributes:
-        lights: environments, files or names of `environments.ENVIRONMENTS`; none where there are lamps.
+        lights: environments, files or names of `colour.lights.ENVIRONMENTS`; none where there are lamps.
         circles: of the balls, or of upright cylinders, as `Circle.parse` reads them; none where they are to be found.
         turns_deg: azimuths of what lies straight ahead in the environments.
         elevation_deg, distance: of the camera.

@@ -227,12 +227,6 @@ class IncrementalObjective:
         value = self.objective.value_of(log_det, trace, squared_norm)
         self._state[:] = log_det, trace, squared_norm, value, 0
 
-    def move(self, index: int, delta: float) -> float:
-        """Move coordinate `index` of x by delta, better or worse, and return F there."""
-        i, q = divmod(index, self._Q)
-        self._renew(loops.move_latent(*self._arguments, i, q, delta))
-        return self.value
-
     def explore(self, steps: Array, heading: Array, limits: tuple[Array, Array], budget: int) -> int:
         """Try every coordinate both ways, keep each improvement at once; see `MoveObjective`."""
         index = tried = 0
@@ -241,14 +235,11 @@ class IncrementalObjective:
                 *self._arguments, steps, heading, *limits, index, budget - tried
             )
             tried += more
-            self._renew(has_drifted)
+            if has_drifted:
+                self.n_refactorisations += 1
+                self._factorise()
         return tried
 
     @property
     def _arguments(self) -> _Arguments:
         return (self._X, self._K, self._P, self.objective.S, self._work, self._state, *self._numbers)
-
-    def _renew(self, has_drifted: bool) -> None:
-        if has_drifted:
-            self.n_refactorisations += 1
-            self._factorise()

@@ -1,4 +1,4 @@
-// A photographed ball: its outline is dragged, its light chosen, and `manifold locate --photo` finds its place.
+// A photographed ball: its outline is dragged, its light chosen, and `manifold photograph` estimates its material.
 
 const SUFFIX = /\.(exr|hdr|pfm|tiff?|png|jpe?g|bmp|webp)$/i;
 const LARGEST = 640; // pixels of the longer side in which a photograph is shown

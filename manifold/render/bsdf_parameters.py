@@ -141,7 +141,7 @@ class BsdfFamily:
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> BsdfFamily:
-        """Restore the family from the content of `to_json`; files are validated by `fit_check.family_of`."""
+        """Restore the family from the content of `to_json`; files are validated by `fit_json.family_of`."""
         parameters = tuple(FreeParameter(**entry) for entry in content["parameters"])
         return cls(content["type"], parameters, dict(content.get("fixed", {})))
 

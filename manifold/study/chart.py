@@ -112,7 +112,7 @@ def make_chart(
         files: at least four, of the same bands.
         only: keys of settings; all by default.
         grid: direction pairs of the errors; by default 45 x 23 x 12.
-        fitted: how many materials the fits of `fits.METHODS` represent.
+        fitted: how many materials the fits of `seen_fits.METHODS` represent.
         library: of the files, where settings that are done are kept until all are, so that an interrupted run is
             continued on the same machine.
         workers: see `work.run`; they read the files from the library. Times are relative to

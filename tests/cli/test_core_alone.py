@@ -2,32 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
-
 import pytest
+from helpers.missing_packages import run_without
 from helpers.small_library import NAMES, small_library
 
 from manifold.core.extras import EXTRAS
 
-CORE_ALONE = """
-import contextlib, io, json, sys
-
-
-# zarr asks by `importlib.util.find_spec` for fsspec, which gives None then.
-sys.modules.update(dict.fromkeys(json.loads(sys.argv[1])))
-from manifold.cli.main import run
-for words in json.loads(sys.argv[2]):
-    out, err = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        try:
-            run(words)
-            status = 0
-        except SystemExit as leaving:
-            status = leaving.code
-    print(json.dumps([status, out.getvalue(), err.getvalue()]))
-"""
 READINGS = "theta_i,phi_i,theta_o,phi_o,R,G,B\n45,180,0,0,0.2,0.1,0.05\n45,180,30,0,0.22,0.12,0.06\n"
 WORKS = {
     "import": ["import", "files"],
@@ -69,11 +49,7 @@ def outcomes(tmp_path_factory):
     (folder / "places.csv").write_text("x,y\n0,0\n0.1,0.1\n")
     commands = WORKS | {name: words for name, (words, _) in NEEDS.items()}
     missing = sorted({module for modules in EXTRAS.values() for module in modules})
-    done = subprocess.run(
-        [sys.executable, "-c", CORE_ALONE, json.dumps(missing), json.dumps(list(commands.values()))],
-        cwd=folder, capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    return dict(zip(commands, map(json.loads, done.stdout.splitlines()), strict=True))
+    return run_without(missing, commands, folder)
 
 
 @pytest.mark.parametrize("name", WORKS)

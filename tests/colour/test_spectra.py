@@ -184,4 +184,7 @@ def test_bands_beyond_the_visible_are_said_to_have_no_colour(nm):
 def test_one_visible_band_is_a_colour(nm):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        to_srgb(np.ones(Bands(nm).count), Bands(nm))
+        colour = to_srgb(np.ones(Bands(nm).count), Bands(nm))
+    assert colour.shape == (3,)
+    assert np.all(np.isfinite(colour))
+    assert colour.max() > 0.0

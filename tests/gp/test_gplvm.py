@@ -133,18 +133,22 @@ def test_derivative_by_the_noise_agrees_with_central_differences(rng):
 
 
 @pytest.mark.parametrize(("kernel", "prior"), [*((kernel, 0.0) for kernel in KERNELS), ("se", 0.3)])
-def test_ten_thousand_rank_two_updates_agree_with_a_fresh_factorisation(rng, prior, kernel):
+def test_thousands_of_rank_two_updates_agree_with_a_fresh_factorisation(rng, prior, kernel):
     Y = curved(rng, 51)
     objective = objective_of(Y, prior=prior, kernel=kernel)
-    moving = IncrementalObjective(objective, pca_start(objective.S, 2))
-    worst = 0.0
+    unlimited, worst, n_moves, n_refactorisations = (np.full(102, -np.inf), np.full(102, np.inf)), 0.0, 0, 0
     with threadpool_limits(1):  # small factorisations crawl on several threads
-        for step in range(10_000):
-            moving.move(int(rng.integers(102)), 0.05 * rng.normal())
-            if step % 100 == 0 or step == 9_999:
+        for _ in range(4):
+            moving = IncrementalObjective(objective, rng.normal(size=(51, 2)))
+            for _ in range(30):
+                before = moving.x.copy()
+                moving.explore(np.abs(0.05 * rng.normal(size=102)), np.ones(102), unlimited, 1000)
+                n_moves += np.count_nonzero(moving.x != before)
                 worst = max(worst, abs(moving.value - objective(moving.x.reshape(51, 2))[0]))
+            n_refactorisations += moving.n_refactorisations
+    assert n_moves > 2000
     assert worst < 1e-8
-    assert moving.n_refactorisations < 5_000  # most moves are updates, or the test shows nothing
+    assert n_refactorisations < 0.5 * n_moves  # most moves are updates, or the test shows nothing
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
@@ -286,9 +290,9 @@ def test_a_kernel_that_does_not_bend_between_its_latents_is_linear(rng, scale, i
 
 
 def test_a_usual_fit_is_not_warned_of(rng):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(record=True) as seen:
         GPLVM(optimizer="l-bfgs").fit(curved(rng, 20))
+    assert not seen
 
 
 def test_data_and_their_gram_matrix_give_the_same_latents(rng):

@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.base import clone
 
-from manifold.core.compiled import loops
 from manifold.core.errors import UsageError
 from manifold.gp.estimators import GPRegressor
 from manifold.gp.kernels import SquaredExponential, kernel_named
@@ -52,14 +51,6 @@ def test_gradients_agree_with_central_differences(rng, name):
     ):
         numeric = reference.central_differences(function, X)
         np.testing.assert_allclose(gradient, numeric, rtol=1e-6, atol=1e-8)  # h = 1e-5
-
-
-@pytest.mark.parametrize("name", KERNELS)
-def test_radial_part_of_one_pair_is_that_of_arrays(name):
-    squared = np.geomspace(1e-6, 1e3, 50)
-    pairs = np.empty(50)
-    loops.radial_of_pairs(kernel_named(name).numbers[0], squared, pairs)
-    np.testing.assert_allclose(pairs, kernel_named(name).radial(squared)[0], rtol=1e-13)  # exp of up to -80
 
 
 @pytest.mark.parametrize("name", KERNELS)

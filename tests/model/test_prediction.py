@@ -18,7 +18,6 @@ from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import mirrored_quadrature, plausibility
 from manifold.brdf.sums import WeightedSum
-from manifold.core.compiled import loops
 from manifold.core.directions import from_spherical, hemisphere_quadrature
 from manifold.core.errors import BandMismatchError, ShapeError
 from manifold.core.mapping import CubeRoot
@@ -156,14 +155,6 @@ def test_values_at_located_pairs_are_those_of_eval(measured_materials, rng):
     pairs = Pairs(wi, wo)
     for material in measured_materials:
         np.testing.assert_allclose(material.eval_at(pairs), material.eval(wi, wo), rtol=1e-12)
-
-
-def test_the_compiled_cube_root_is_the_cube_root(rng):
-    x = (rng.choice([-1.0, 1.0], 100_000) * 10.0 ** rng.uniform(-37, 37, 100_000)).astype(np.float32)
-    x[0], found = 0.0, np.empty_like(x)
-    loops.cube_roots(x, found)
-    np.testing.assert_allclose(found, np.cbrt(x.astype(float)), rtol=1.2e-7)  # a unit of single precision
-    assert found[0] == 0.0
 
 
 @pytest.mark.parametrize("theta_deg", [0.0, 45.0, 75.0])

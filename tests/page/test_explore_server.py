@@ -210,7 +210,8 @@ def test_functions_of_commands_take_the_arguments_of_requests(context):
         dropped.touch()
         taken = {key: value for key, value in fields.items() if key in command.schema["properties"]}
         asked = call_of(name, taken, context, Path.exists, dropped)
-        inspect.signature(resolve_name(command.function)).bind(**asked.arguments)
+        bound = inspect.signature(resolve_name(command.function)).bind(**asked.arguments)
+        assert bound.arguments, name
 
 
 @pytest.mark.parametrize(

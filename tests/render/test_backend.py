@@ -14,6 +14,7 @@ from helpers.small_library import measured
 from manifold.core.errors import UsageError
 from manifold.io_rgl import write_bsdf
 from manifold.render import backend
+from manifold.render.images import read_image
 
 PROGRAM = [sys.executable, "-c", "from manifold.cli.main import run; run()"]
 
@@ -126,7 +127,9 @@ def test_open_exr_is_written_by_a_process_of_one_thread(tmp_path):
         "images.write_image(Path(sys.argv[1]), np.ones((4, 4, 3)))\n"
         "assert backend.drjit().thread_count() < 2\n"
     )
-    subprocess.run([sys.executable, "-c", script, str(tmp_path / "x.exr")], check=True, timeout=60)
+    path = tmp_path / "x.exr"
+    subprocess.run([sys.executable, "-c", script, str(path)], check=True, timeout=60)
+    assert read_image(path).shape == (4, 4, 3)
 
 
 def test_the_variant_is_set_again_once_where_blocks_that_keep_it_are_nested():

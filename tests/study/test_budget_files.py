@@ -93,7 +93,8 @@ def test_plugins_registered_in_this_process_are_taken(tmp_path):
     mi = backend.mitsuba("rgb", backend.Backend("scalar"))
     mi.register_bsdf("tested_here", lambda properties: None)
     part = '<bsdf type="tested_here"/>'
-    SceneDocument.read(xml(tmp_path / "scene.xml", SENSOR, BALL.format("x"), part))
+    read = SceneDocument.read(xml(tmp_path / "scene.xml", SENSOR, BALL.format("x"), part))
+    assert len(read.materials) == 1  # the measured one beside it
 
 
 REGISTERED = """

@@ -96,7 +96,7 @@ class VaryingWeights:
         )[1]
 
     def _of_blend(self, latent: list[Any], has_slopes: bool) -> LobeSums:
-        """Return the common part of `latent.blending.blend_weights`, relative to the nearest material."""
+        """Return the common part of `model.blending.blend_weights`, relative to the nearest material."""
         mi, dr = self._mi, self._dr
 
         def nearer(j: Any, found: tuple[Any, Any]) -> tuple[Any, Any]:
@@ -327,7 +327,7 @@ class Evaluation:
     def _in_its_frame(self, symmetry: Any, rotation: Any, wi: Any) -> tuple[Any, Any]:
         """Return cosine and sine of the turn into the sample's measured frame, and signs for each axis after it.
 
-        The signs move incident directions into the measured azimuths; see `pairs.signs`.
+        The signs move incident directions into the measured azimuths.
         """
         mi, dr = self._mi, self._dr
         turn = mi.Vector2f(dr.cos(rotation), dr.sin(rotation))

@@ -82,7 +82,7 @@ def test_an_eps_named_png_is_refused_by_name_and_starts_no_program(workbook, sta
     assert content == EPS
     with pytest.raises(FileFormatError, match=r"^is a PostScript picture, expected PNG or JPEG"):
         picture_values(content)
-    with pytest.raises(FileFormatError, match="no PNG or JPEG"):
+    with pytest.raises(FileFormatError, match="neither a PNG nor a JPEG"):
         ma_t12.write(workbook, readings)
     assert not started.exists()
 

@@ -84,7 +84,7 @@ def test_values_that_are_not_numbers_are_never_accepted():
 
 
 def test_constraints_are_refused():
-    with pytest.raises(UsageError, match="no constraints"):
+    with pytest.raises(UsageError, match="not constraints"):
         minimize(booth, [0.0, 0.0], method=hooke_jeeves, constraints={"type": "eq", "fun": booth})
 
 

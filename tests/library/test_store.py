@@ -303,7 +303,7 @@ def test_another_folder_is_no_library(tmp_path: Path, content: str | None, folde
         Library.open(other)
     with pytest.raises(LibraryError, match="other"):
         import_files(other, [folder])
-    with pytest.raises(LibraryError, match="exists already"):
+    with pytest.raises(LibraryError, match="already exists"):
         Library.create(other, Bands(None))
 
 

@@ -359,7 +359,7 @@ def test_impossible_settings_are_refused(library):
         GplvmSettings(mapping="cuberoot")
     with pytest.raises(UsageError, match="optimizer 'adam', expected dls or l-bfgs"):
         GplvmSettings(optimizer="adam")
-    with pytest.raises(UsageError, match="expected BlendSettings or GplvmSettings"):
+    with pytest.raises(UsageError, match="use BlendSettings or GplvmSettings"):
         Settings(latent_dim=2)
 
 

@@ -23,7 +23,7 @@ from manifold.formats.readings import Readings
 from manifold.library.store import Library
 from manifold.model.expected_error import BELOW_TWICE
 
-CALIBRATION_VERSION = 2
+CALIBRATION_VERSION = 3
 """Raised where completions, or errors of left-out materials, change: calibrations that are stored are stale then."""
 
 _KINDS = ("ball", "scaled_ball", "cube_root", "linear", "near_mirror", "elsewhere")  # some may be unknown

@@ -5,6 +5,8 @@
 Of instruments' workbooks, each reading left out in turn; means, medians and largest over all readings. Other methods
 predict it from the same readings without a library: `mean` of the others, the one `nearest` in its angle from the
 mirror direction, a `gaussian_process` over half-vector coordinates, and one over aspecular angle and incidence.
+`same_incidence` completes from only those of the other readings that have its incidence. `not_reciprocal` is the
+CIEDE2000 between the reading of an MA-T12 at 15/45 degrees and that at 45/15, interpolated between its neighbours.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 from completion_baselines import aspecular_coordinates, gaussian_process_of_one
+from scipy.interpolate import PchipInterpolator
 
 from manifold.colour.difference import colour_differences
 from manifold.core.pairs import Pairs
@@ -71,15 +74,34 @@ def from_mirror_deg(wi: Array, wo: Array) -> Array:
     return np.rad2deg(np.arccos(np.clip(np.sum(wi * [-1.0, -1.0, 1.0] * wo, axis=1), -1.0, 1.0)))
 
 
+def not_reciprocal(readings: Readings) -> float:
+    """CIEDE2000 between the reading at 15/45 degrees and the one at 45/15, interpolated in the outgoing angle."""
+    incidence, outgoing = (
+        np.rad2deg(np.arctan2(sign * w[:, 0], w[:, 2]))
+        for sign, w in ((-1.0, readings.wi), (1.0, readings.wo))
+    )
+    at_15 = (np.abs(incidence - 15.0) < SAME_DEG) & (np.abs(outgoing - 45.0) < SAME_DEG)
+    at_45 = np.flatnonzero(np.abs(incidence - 45.0) < SAME_DEG)
+    at_45 = at_45[np.argsort(outgoing[at_45])]
+    interpolated = PchipInterpolator(outgoing[at_45], readings.values[at_45])(15.0)
+    return float(colour_differences(readings.values[at_15], interpolated[None], readings.bands, "D65")[0][0])
+
+
 def left_out(atoms: LibraryAtoms, readings: Readings) -> dict[str, Array]:
     """CIEDE2000 at every reading, as the completion and the baselines predict it from the others."""
     truth = Completion.of(atoms, readings).readings  # in the bands of the library
-    found: dict[str, list[float]] = {"left_out": []} | {f"left_out_{name}": [] for name in BASELINES}
+    names = ("left_out", "left_out_same_incidence", *(f"left_out_{name}" for name in BASELINES))
+    found: dict[str, list[float]] = {name: [] for name in names}
+    incidence = np.rad2deg(np.arccos(truth.wi[:, 2]))
     for k in range(len(readings)):
         is_other = np.arange(len(readings)) != k
         wi, wo = truth.wi[k : k + 1], truth.wo[k : k + 1]
         others = truth.select_pairs(is_other)
-        predicted = {"left_out": Completion.of(atoms, readings.select_pairs(is_other)).brdf.eval(wi, wo)}
+        is_same = is_other & (np.abs(incidence - incidence[k]) < SAME_DEG)
+        predicted = {
+            name: Completion.of(atoms, readings.select_pairs(some)).brdf.eval(wi, wo)
+            for name, some in zip(names, (is_other, is_same), strict=False)
+        }
         predicted |= {f"left_out_{name}": predict(others, wi, wo) for name, predict in BASELINES.items()}
         for name, f in predicted.items():
             found[name].append(colour_differences(truth.values[k : k + 1], f, truth.bands, "D65")[0][0])
@@ -99,12 +121,14 @@ def main() -> None:
     for repeatability in options.repeatability:
         read = [replace(read_readings(path), repeatability=repeatability) for path in options.workbooks]
         own = np.concatenate([met(atoms, one) for one in read])
-        each = [left_out(atoms, one) for one in read]
+        each, apart = [left_out(atoms, one) for one in read], [not_reciprocal(one) for one in read]
         both = {
             name: np.percentile(np.concatenate([one[name] for one in each]), (50, 90)) for name in each[0]
         }
         rows[f"{repeatability:g}"] = {
-            "workbooks": len(read), "met_mean": own.mean(), "met_largest": own.max(),
+            "workbooks": len(read), "not_reciprocal": np.median(apart),
+            "not_reciprocal_range": [min(apart), max(apart)],
+            "met_mean": own.mean(), "met_largest": own.max(),
             **{name: values.tolist() for name, values in both.items()},
         }  # fmt: skip
         cells = [f"{name} {median:.2f} / {p90:.2f}" for name, (median, p90) in both.items()]

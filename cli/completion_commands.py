@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -20,12 +21,82 @@ from .outputs import checked, or_default
 
 if TYPE_CHECKING:
     from manifold.core.records import Array
+    from manifold.estimate.coat import Coated
+    from manifold.estimate.completions import Completed
     from manifold.estimate.suggestions import Suggested
+    from manifold.many.batch import BatchCommand
 
-InstrumentOption = Annotated[
-    str | None,
-    typer.Option(help="Suggest among the directions of ma-t12 or mini-diff.", metavar="NAME"),
-]
+    from .batch_options import S
+
+
+@dataclass(frozen=True)
+class LabOptions(options.ViewingOptions):
+    """A colour instead of readings."""
+
+    lab: Annotated[
+        str | None,
+        typer.Option(
+            help="Instead of READINGS: a CIELAB colour L*, a*, b* measured at 45/0 (not d/8), with --gloss if it is "
+            "known; or a file with one colour per line: name, L, a, b. A header may name columns gloss_20, gloss_60, "
+            "gloss_85.",
+            metavar="L,a,b|FILE",
+        ),
+    ] = None
+    mixture: Annotated[
+        bool,
+        typer.Option(
+            "--mixture",
+            help="With --lab and --gloss: mix the library's materials, metals included. Without --mixture, the result "
+            "is a dielectric coat over a diffuse base, which matches colour and gloss.",
+        ),
+    ] = False
+
+    @property
+    def parsed(self) -> Array:
+        """CIELAB of the one colour under D65, 2 degrees, (3,)."""
+        from manifold.estimate import completions
+
+        return completions.parse_lab(self.lab or "", self.viewing())
+
+    @property
+    def is_file(self) -> bool:
+        """Whether they name a file of colours."""
+        return self.lab is not None and Path(self.lab).is_file()
+
+
+@dataclass(frozen=True)
+class MadeOptions(options.FileOptions):
+    """What is made of an estimate."""
+
+    picture: Annotated[
+        bool,
+        typer.Option(
+            "--picture",
+            help="Also render its ball, into NAME.png; of several samples a sheet of balls is always drawn.",
+        ),
+    ] = False
+    report: options.ReportOption = None
+    suggest: Annotated[
+        int,
+        typer.Option(
+            help="Also suggest this many directions to measure next; without READINGS, to measure first.",
+            metavar="K",
+            min=0,
+            max=100,
+        ),
+    ] = 0
+    instrument: Annotated[
+        str | None,
+        typer.Option(help="Suggest among the directions of ma-t12 or mini-diff.", metavar="NAME"),
+    ] = None
+
+    def ball(self, target: Path) -> Path | None:
+        """Return where the ball of a file is drawn; None if it is not wanted."""
+        return checked(target.with_suffix(".png"), "picture") if self.picture else None
+
+
+NO_LAB, USUAL = LabOptions(), MadeOptions()
+"""None of these options."""
 
 
 @app.command(
@@ -70,46 +141,8 @@ def complete(
             max=100.0,
         ),
     ] = None,
-    lab: Annotated[
-        str | None,
-        typer.Option(
-            help="Instead of READINGS: a CIELAB colour L*, a*, b* measured at 45/0 (not d/8), with --gloss if it is "
-            "known; or a file with one colour per line: name, L, a, b. A header may name columns gloss_20, gloss_60, "
-            "gloss_85.",
-            metavar="L,a,b|FILE",
-        ),
-    ] = None,
-    mixture: Annotated[
-        bool,
-        typer.Option(
-            "--mixture",
-            help="With --lab and --gloss: mix the library's materials, metals included. Without --mixture, the result "
-            "is a dielectric coat over a diffuse base, which matches colour and gloss.",
-        ),
-    ] = False,
-    illuminant: options.IlluminantOption = None,
-    observer: options.ObserverOption = None,
-    picture: Annotated[
-        bool,
-        typer.Option(
-            "--picture",
-            help="Also render its ball, into NAME.png.",
-        ),
-    ] = False,
-    report: options.ReportOption = None,
-    suggest: Annotated[
-        int,
-        typer.Option(
-            help="Also suggest this many directions to measure next; without READINGS, to measure first.",
-            metavar="K",
-            min=0,
-            max=100,
-        ),
-    ] = 0,
-    instrument: InstrumentOption = None,
-    physical: options.PhysicalOption = False,
-    resolution: options.ResolutionOption = 32,
-    incidences: options.FineIncidencesOption = None,
+    colour: LabOptions = NO_LAB,
+    asked: MadeOptions = USUAL,
     workers: WorkerOptions = PER_CORE,
     json: options.JsonOption = None,
 ) -> None:
@@ -119,122 +152,140 @@ def complete(
     samples are completed into a folder, with a table and a picture of all balls; results of an earlier run are
     kept. A report (--report) of several samples has an index and a page per sample.
     """
-    from manifold.core.defaults import FINE_INCIDENCES
-    from manifold.estimate import completions, inputs, instruments, reports, suggestions
+    from manifold.estimate import completions, inputs, instruments, reports
     from manifold.estimate.attributes import readings_of_colour
-    from manifold.estimate.inputs import find_samples
     from manifold.library.store import Library
-    from manifold.model.output_file import OutputOptions
 
-    results = terminal.Results(json)
-    written = OutputOptions(physical, terminal.is_strict(), resolution, incidences or FINE_INCIDENCES)
-    if readings and lab is not None:
-        raise UsageError(
-            f"found --lab {lab} and readings {readings[0]}, expected one of them; a colour has commas, such as 50,20,10"
-        )
-    if report is not None and not (readings or lab):
-        raise UsageError("--report goes with readings or a colour; leave it out")
-    if mixture and lab is None:
-        raise UsageError("--mixture goes with --lab; leave it out")
-
-    def parsed(text: str) -> Array:
-        return completions.parse_lab(text, options.viewing_of(illuminant, observer))
-
-    if not readings and lab is None:
-        if not suggest:
-            raise UsageError(
-                "no readings are given; give a file, or --suggest K for the directions to measure first"
-            )
-        first = suggestions.suggest(library, suggest, None, instrument)
-        _show_suggested(results, first, "Measure first", instrument)
-        results.document({"suggested_deg": first.angles_deg.tolist()})
+    results, given = terminal.Results(json), readings or []
+    _require_consistent(given, colour, asked)
+    if not given and colour.lab is None:
+        _suggest_first(results, library, asked)
         return
-    if instrument is not None and not suggest:
-        raise UsageError("--instrument restricts the suggested directions; also give --suggest K")
     units = completions.parse_gloss(gloss or [])
-    if lab is not None:
+
+    def make_folder(command: BatchCommand[S], sources: Sequence[S], outputs: str) -> None:
+        then = None if into is None else partial(many.import_outputs, library=into)
+        make_many(results, command, sources, output, workers.executor(), outputs=outputs, then=then)
+
+    if colour.is_file:
         from manifold.estimate import coat
+        from manifold.many import commands as many
 
-        if Path(lab).is_file():
-            from manifold.many import commands as many
-
-            if report is not None:
-                raise UsageError("--report goes with readings or one colour, found a list; leave it out")
-            if suggest:
-                raise UsageError("--suggest goes with readings or one colour, found a list; leave it out")
-            colours = coat.read_colours(Path(lab), units, options.given_viewing(illuminant, observer))
-            make_many(
-                results, many.coats(library, is_mixture=mixture, options=written), colours, output,
-                workers.executor(), outputs=f"{len(colours)} colours",
-                then=None if into is None else partial(many.import_outputs, library=into),
-            )  # fmt: skip
-            return
-        if units and not mixture:
-            L, a, b = parsed(lab).tolist()
-            one = coat.ColourSample(f"L {L:.4g}, a {a:.4g}, b {b:.4g}", (L, a, b), units)
-            target = or_default(output, "completed.bsdf")
-            with progress.shown("Completing"):
-                ball = checked(target.with_suffix(".png"), "picture") if picture else None
-                coated = coat.complete(
-                    library, one, target, picture=ball, count=suggest, instrument=instrument, options=written
-                )
-            if report is not None:
-                reports.write_coat(report, coated)
-            photograph_commands.show_completed(results, coated, report)
-            if coated.suggested is not None:
-                _show_suggested(results, coated.suggested, "\nMeasure next", instrument)
-            results.document(coated)
-            return
-    if readings and sample is None and not merge and unit is None:
+        colours = coat.read_colours(Path(colour.lab or ""), units, colour.given)
+        command = many.coats(library, is_mixture=colour.mixture, options=asked.written)
+        make_folder(command, colours, f"{len(colours)} colours")
+        return
+    if given and sample is None and not merge and unit is None:
         with progress.shown("Reading files"):
-            samples = find_samples(readings)
-        if len(samples) > 1 or len(samples[0].parts) != len(readings) or into or (output and output.is_dir()):
+            samples = inputs.find_samples(given)
+        if len(samples) > 1 or len(samples[0].parts) != len(given) or into or (output and output.is_dir()):
             names = first_few([one.parts[0][1] or one.name for one in samples])
             found = f"{len(samples)} samples ({names}); name one by --sample"
-            if units or picture or repeatability is not None:
+            if units or repeatability is not None:
                 raise UsageError(
-                    f"--gloss, --picture and --repeatability go with one sample, found {found}, or leave them out"
+                    f"--gloss and --repeatability go with one sample, found {found}, or leave them out"
                 )
             from manifold.many import commands as many
 
             require_folder(output, f"{found}, or a folder")
-            inputs.require_apart(readings, output or Path("completions"))
-            command = many.completions_of(
-                library, correction=correction, count=suggest, instrument=instrument, options=written, report=report,
+            inputs.require_apart(given, output or Path("completions"))
+            of_samples = many.completions_of(
+                library, correction=correction, count=asked.suggest, instrument=asked.instrument,
+                options=asked.written, report=asked.report,
             )  # fmt: skip
-            make_many(
-                results, command, samples, output, workers.executor(), outputs=f"{found}, or a folder",
-                then=None if into is None else partial(many.import_outputs, library=into),
-            )  # fmt: skip
+            make_folder(of_samples, samples, f"{found}, or a folder")
             return
     if into is not None:
         raise UsageError("--into goes with the samples of files; leave --sample, --merge and --lab out")
-    if lab is not None:
-        taken, learned = readings_of_colour(parsed(lab), units, Library(library).bands), None
+    if colour.lab is not None and units and not colour.mixture:
+        _complete_coat(results, library, colour, units, output, asked)
+        return
+    if colour.lab is not None:
+        taken, learned = readings_of_colour(colour.parsed, units, Library(library).bands), None
         target = or_default(output, "completed.bsdf")
     else:
         taken, learned = (
-            instruments.read(readings or [], sample, correction, units, unit)
+            instruments.read(given, sample, correction, units, unit)
             if merge or sample is not None or unit is not None
             else instruments.read_sample(samples[0], correction, units)
         )
         target = or_default(output, completions.file_name(taken))
-    is_adapted = lab is not None and taken.bands.is_rgb
-    if not is_adapted and (illuminant is not None or observer is not None):
-        taken = taken.seen_under(options.viewing_of(illuminant, observer, taken.viewing))
+    is_adapted = colour.lab is not None and taken.bands.is_rgb
+    if not is_adapted and colour.given is not None:
+        taken = taken.seen_under(colour.viewing(taken.viewing))
     if repeatability is not None:
         taken = replace(taken, repeatability=repeatability / 100.0)
-    ball = checked(target.with_suffix(".png"), "picture") if picture else None
+    ball = asked.ball(target)
     with progress.shown("Completing"):
         made = completions.complete(
-            library, taken, target, correction=learned, picture=ball, count=suggest, instrument=instrument,
-            options=written,
+            library, taken, target, correction=learned, picture=ball, count=asked.suggest,
+            instrument=asked.instrument, options=asked.written,
         )  # fmt: skip
-    if report is not None:
-        reports.write_completion(report, made, readings or [])
-    photograph_commands.show_completed(results, made, report, readings or ())
+    if asked.report is not None:
+        reports.write_completion(asked.report, made, given)
+    _show(results, made, asked, given)
+
+
+def _require_consistent(readings: Sequence[Path], colour: LabOptions, asked: MadeOptions) -> None:
+    """Raise UsageError where options contradict each other, or go with others that are not given."""
+    if readings and colour.lab is not None:
+        raise UsageError(
+            f"found --lab {colour.lab} and readings {readings[0]}, expected one of them; a colour has commas, such as "
+            "50,20,10; readings of a spectrophotometer go beside others with --merge"
+        )
+    has_input = bool(readings) or colour.lab is not None
+    if asked.report is not None and not has_input:
+        raise UsageError("--report goes with readings or a colour; leave it out")
+    if colour.mixture and colour.lab is None:
+        raise UsageError("--mixture goes with --lab; leave it out")
+    if not has_input and not asked.suggest:
+        raise UsageError(
+            "no readings are given; give a file, or --suggest K for the directions to measure first"
+        )
+    if asked.instrument is not None and not asked.suggest:
+        raise UsageError("--instrument restricts the suggested directions; also give --suggest K")
+    for option, given in (("--report", asked.report), ("--suggest", asked.suggest)):
+        if colour.is_file and given:
+            raise UsageError(f"{option} goes with readings or one colour, found a list; leave it out")
+
+
+def _suggest_first(results: terminal.Results, library: Path, asked: MadeOptions) -> None:
+    """Print the directions to measure first."""
+    from manifold.estimate import suggestions
+
+    first = suggestions.suggest(library, asked.suggest, None, asked.instrument)
+    _show_suggested(results, first, "Measure first", asked.instrument)
+    results.document({"suggested_deg": first.angles_deg.tolist()})
+
+
+def _complete_coat(
+    results: terminal.Results, library: Path, colour: LabOptions, units: Mapping[float, float],
+    output: Path | None, asked: MadeOptions,
+) -> None:  # fmt: skip
+    """Complete one colour and gloss by a coat over a diffuse base, and print the result."""
+    from manifold.estimate import coat, reports
+
+    L, a, b = colour.parsed.tolist()
+    one = coat.ColourSample(f"L {L:.4g}, a {a:.4g}, b {b:.4g}", (L, a, b), units)
+    target = or_default(output, "completed.bsdf")
+    ball = asked.ball(target)
+    with progress.shown("Completing"):
+        made = coat.complete(
+            library, one, target, picture=ball, count=asked.suggest, instrument=asked.instrument,
+            options=asked.written,
+        )  # fmt: skip
+    if asked.report is not None:
+        reports.write_coat(asked.report, made)
+    _show(results, made, asked)
+
+
+def _show(
+    results: terminal.Results, made: Completed | Coated, asked: MadeOptions, readings: Sequence[Path] = ()
+) -> None:
+    """Print a completed material, and the next directions to measure if they were asked for."""
+    photograph_commands.show_completed(results, made, asked.report, readings)
     if made.suggested is not None:
-        _show_suggested(results, made.suggested, "\nMeasure next", instrument)
+        _show_suggested(results, made.suggested, "\nMeasure next", asked.instrument)
     results.document(made)
 
 

@@ -334,8 +334,7 @@ def find(
             metavar="L,a,b|FILE",
         ),
     ] = None,
-    illuminant: options.IlluminantOption = None,
-    observer: options.ObserverOption = None,
+    viewing: options.ViewingOptions = options.DAYLIGHT,
     gloss: Annotated[
         list[str] | None,
         typer.Option(help="Gloss units at 20, 60 or 85 degrees; may be repeated.", metavar="60=UNITS"),
@@ -362,13 +361,12 @@ def find(
             + ("nothing" if material is None else "both kinds")
         )
     results = terminal.Results(json)
-    viewing = options.viewing_of(illuminant, observer)
     units = completions.parse_gloss(gloss or [])
     opened = Library(library)
     if lab is not None and Path(lab).is_file():
         document = {}
         with progress.shown("Reading materials"):
-            colours = coat.read_colours(Path(lab), units, options.given_viewing(illuminant, observer))
+            colours = coat.read_colours(Path(lab), units, viewing.given)
             nearest = {
                 one.name: attributes.find(opened, lab=one.lab, gloss=one.gloss)[:count] for one in colours
             }
@@ -380,7 +378,7 @@ def find(
         return
     with progress.shown("Reading materials"):
         sought = None if material is None else _sought(material, sample, model, library)
-        colour = None if lab is None else completions.parse_lab(lab, viewing)
+        colour = None if lab is None else completions.parse_lab(lab, viewing.viewing())
         found = attributes.find(opened, sought, lab=colour, gloss=units)
     _show_found(results, found[:count])
     notes = sought.notes if isinstance(sought, Readings) else ()

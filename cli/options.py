@@ -12,6 +12,7 @@ import typer
 from manifold.core import shipped
 from manifold.core.errors import UsageError
 
+from . import terminal
 from .application import COLOUR, GRID
 from .defaults import DEFAULT_LIBRARY
 from .defaults import DEFAULT_MODEL as DEFAULT_MODEL
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from manifold.estimate.sources import MaterialSource
     from manifold.formats.readings import Viewing
     from manifold.model.colours import ColourChoice
+    from manifold.model.output_file import OutputOptions
 
 
 def output_option(help: str, metavar: str = "FILE") -> Any:
@@ -161,35 +163,74 @@ IncidencesOption = Annotated[
         help="Angles of incidence from 0 to 90 degrees.", metavar="N", min=2, max=128, rich_help_panel=GRID
     ),
 ]
-FineIncidencesOption = Annotated[
-    int | None,
-    typer.Option(
-        help="Angles of incidence from 0 to 90 degrees. [default: {manifold.core.defaults.FINE_INCIDENCES}]",
-        metavar="N",
-        min=2,
-        max=128,
-        rich_help_panel=GRID,
-        show_default=False,
-    ),
-]
+
+
+@dataclass(frozen=True)
+class FileOptions:
+    """How the file of an estimate is written."""
+
+    physical: PhysicalOption = False
+    resolution: ResolutionOption = 32
+    incidences: Annotated[
+        int | None,
+        typer.Option(
+            help="Angles of incidence from 0 to 90 degrees. [default: {manifold.core.defaults.FINE_INCIDENCES}]",
+            metavar="N",
+            min=2,
+            max=128,
+            rich_help_panel=GRID,
+            show_default=False,
+        ),
+    ] = None
+
+    @property
+    def written(self) -> OutputOptions:
+        """What the writer takes of them."""
+        from manifold.core.defaults import FINE_INCIDENCES
+        from manifold.model.output_file import OutputOptions
+
+        incidences = self.incidences or FINE_INCIDENCES
+        return OutputOptions(self.physical, terminal.is_strict(), self.resolution, incidences)
+
+
+@dataclass(frozen=True)
+class ViewingOptions:
+    """Light and observer of Lab values: by default those of the file, or D65 and 2 degrees."""
+
+    illuminant: Annotated[
+        str | None,
+        typer.Option(
+            help="Illuminant of Lab values, such as D50 or A.  [default: that of the file, or D65]",
+            metavar="NAME",
+            rich_help_panel=COLOUR,
+        ),
+    ] = None
+    observer: Annotated[
+        int | None,
+        typer.Option(
+            help="Observer of Lab values in degrees: 2 (CIE 1931) or 10 (CIE 1964).  [default: that of the file, or 2]",
+            metavar="DEGREES",
+            rich_help_panel=COLOUR,
+        ),
+    ] = None
+
+    def viewing(self, usual: Viewing | None = None) -> Viewing:
+        """Return the light and observer; the usual ones, or D65/2, if none are given."""
+        from manifold.formats.readings import DAYLIGHT, Viewing
+
+        usual = usual or DAYLIGHT
+        return Viewing(self.illuminant or usual.illuminant, self.observer or usual.observer_deg)
+
+    @property
+    def given(self) -> Viewing | None:
+        """Light and observer that are given; None if neither is."""
+        return None if self.illuminant is None and self.observer is None else self.viewing()
+
+
+DAYLIGHT, USUAL_FILE = ViewingOptions(), FileOptions()
+"""None of these options."""
 SampleOption = Annotated[
     str | None, typer.Option("--sample", help="The sample to take from a file with several.", metavar="NAME")
-]
-IlluminantOption = Annotated[
-    str | None,
-    typer.Option(
-        help="Illuminant of Lab values, such as D50 or A.  [default: that of the file, or D65]",
-        metavar="NAME",
-        rich_help_panel=COLOUR,
-    ),
-]
-ObserverOption = Annotated[
-    int | None,
-    typer.Option(
-        help="Observer of Lab values in degrees: 2 (CIE 1931) or 10 (CIE 1964).  [default: that of the file, or 2]",
-        metavar="DEGREES",
-        rich_help_panel=COLOUR,
-    ),
 ]
 ReportOption = Annotated[
     Path | None,
@@ -206,19 +247,6 @@ UnitOption = Annotated[
         metavar="UNIT",
     ),
 ]
-
-
-def viewing_of(illuminant: str | None, observer: int | None, usual: Viewing | None = None) -> Viewing:
-    """Return light and observer of Lab values; the usual ones, or D65/2, if none are given."""
-    from manifold.formats.readings import DAYLIGHT, Viewing
-
-    usual = usual or DAYLIGHT
-    return Viewing(illuminant or usual.illuminant, observer or usual.observer_deg)
-
-
-def given_viewing(illuminant: str | None, observer: int | None) -> Viewing | None:
-    """Return light and observer that options name; None if they name neither."""
-    return None if illuminant is None and observer is None else viewing_of(illuminant, observer)
 
 
 def material_source(text: str, model: Path, library: Path | None) -> MaterialSource:

@@ -230,9 +230,7 @@ def photograph(
             max=100,
         ),
     ] = 0,
-    physical: options.PhysicalOption = False,
-    resolution: options.ResolutionOption = 32,
-    incidences: options.FineIncidencesOption = None,
+    file: options.FileOptions = options.USUAL_FILE,
     json: options.JsonOption = None,
 ) -> None:
     """Estimate the BRDF of a painted ball or tin from photographs, with a library of materials as prior.
@@ -240,9 +238,6 @@ def photograph(
     The light of the pictures is given by --lamp, --light or --light-ball. Readings, gloss and a colour of the same
     material are part of the same estimate. To locate the result on a map, run `manifold locate`.
     """
-    from manifold.core.defaults import FINE_INCIDENCES
-    from manifold.model.output_file import OutputOptions
-
     results = terminal.Results(json)
     if not pictures:
         if not suggest or readings or lab or gloss or report:
@@ -251,10 +246,9 @@ def photograph(
             )
         suggest_lamps(results, library, suggest)
         return
-    written = OutputOptions(physical, terminal.is_strict(), resolution, incidences or FINE_INCIDENCES)
     complete_photographs(
         results, photos.request_of(pictures), library, output, readings=readings, sample=sample, gloss=gloss, lab=lab,
-        picture=picture, report=report, suggest=suggest, written=written,
+        picture=picture, report=report, suggest=suggest, written=file.written,
     )  # fmt: skip
 
 
@@ -282,7 +276,7 @@ def complete_photographs(
         raise UsageError(f"found --lab {lab} and readings {readings[0]}, expected one of them")
     measured = instruments.read(list(readings), sample)[0] if readings else None
     if lab is not None:
-        colour = completions.parse_lab(lab, options.viewing_of(None, None))
+        colour = completions.parse_lab(lab, options.DAYLIGHT.viewing())
         measured = readings_of_colour(colour, {}, Library(library).bands)
     target = or_default(output, f"{request.photographs[0].stem}.bsdf")
     with progress.shown("Completing"):

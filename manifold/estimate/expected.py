@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -15,6 +15,7 @@ from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.panel import Panel
 from manifold.core.metrics import Errors, RunningErrors
 from manifold.core.records import Array, Indices, Mask, evenly_spaced
+from manifold.core.threads import one_blas_thread, share_out
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.completion import NOISY, Completion
 from manifold.estimate.evidence import Evidence, channel_atoms, clipping, nearest_bands
@@ -22,7 +23,7 @@ from manifold.formats.readings import Readings
 from manifold.library.store import Library
 from manifold.model.expected_error import BELOW_TWICE
 
-CALIBRATION_VERSION = 2
+CALIBRATION_VERSION = 3
 """Raised where completions, or errors of left-out materials, change: calibrations that are stored are stale then."""
 
 _KINDS = ("ball", "scaled_ball", "cube_root", "linear", "near_mirror", "elsewhere")  # some may be unknown
@@ -64,10 +65,16 @@ class Calibration:
 
     @classmethod
     def leave_out(
-        cls, method: Callable[[int], tuple[Errors[float], Errors[float], float]], materials: Iterable[int]
+        cls, method: Callable[[int], tuple[Errors[float], Errors[float], float]], materials: Sequence[int]
     ) -> Calibration:
-        """Make a calibration from the errors, plausible errors and residual of each left-out material."""
-        errors, plausible, residuals = zip(*map(method, materials), strict=True)
+        """Make a calibration from the errors, plausible errors and residual of each left-out material.
+
+        Threads share the materials.
+        """
+        found: dict[int, tuple[Errors[float], Errors[float], float]] = {}
+        with one_blas_thread:
+            share_out(lambda m: found.__setitem__(m, method(m)), materials)
+        errors, plausible, residuals = zip(*(found[m] for m in materials), strict=True)
         return cls(_arrays(errors), _arrays(plausible), np.array(residuals))
 
     def __repr__(self) -> str:

@@ -383,8 +383,12 @@ class _Pixels:
         lit = np.maximum(np.sum(towards * n, axis=2), 0.0)
         return lit, np.broadcast_to(n[:, 2], lit.shape), np.clip(np.sum(half * n, axis=2), 0.0, 1.0), falloff
 
-    def shading(self, x: Array) -> tuple[Array, Array, Array]:
-        """Return light of the diffuse part and the highlight (P, M), and slopes of the latter's logarithm by its nodes.
+    def shading(self, x: Array) -> tuple[Array, Array, Indices, Array]:
+        """Return light of the diffuse part and of the highlight, with the latter's nodes, each (P, M).
+
+        The logarithm of the highlight is interpolated: nodes are the index of the one before a pixel, and the share of
+        the one after it.
+
 
         The diffuse part is Minnaert's `(l v)^k / v`, l and v being the cosines of lamp and camera, times a polynomial's
         exponential; the highlight is a function of the half vector over a power of `l v`. Source: Minnaert 1941.
@@ -402,10 +406,7 @@ class _Pixels:
         share = (place - _NODES[k]) / (_NODES[k + 1] - _NODES[k])
         log = (1.0 - share) * nodes[k] + share * nodes[k + 1]
         highlight = light * np.exp(np.clip(log + strength, -20.0, 20.0)) * both**-power
-        by_node = np.zeros((*lit.shape, len(_NODES)))
-        np.put_along_axis(by_node, k[..., None], (1.0 - share)[..., None], 2)
-        np.put_along_axis(by_node, k[..., None] + 1, share[..., None], 2)
-        return light * both**flat * np.exp(np.clip(limb, -5.0, 5.0)), highlight, by_node
+        return light * both**flat * np.exp(np.clip(limb, -5.0, 5.0)), highlight, k, share
 
     def start(self, lamps: Array) -> Array:
         """Return parameters from directions of lamps (P, 3)."""
@@ -445,14 +446,16 @@ class _Pixels:
 
     def _linearised(self, x: Array, weights: Array) -> tuple[Array, Array]:
         """Return robust residuals of pixels and those of the prior, and their derivatives."""
-        diffuse, highlight, by_node = self.shading(x)
+        diffuse, highlight, node, share = self.shading(x)
         value = diffuse + highlight
         root = np.cbrt(value + self.dark)
         (P, M), n = value.shape, len(x)
         D = np.zeros((P, M, n))
         for k in range(3 + _SHAPE):
             D[..., k] = (self._light(_stepped(x, [k])) - value) / _STEP
-        D[..., 3 + _SHAPE : _COMMON] = highlight[..., None] * by_node
+        of_nodes = D[..., 3 + _SHAPE : _COMMON]
+        np.put_along_axis(of_nodes, node[..., None], (highlight * (1.0 - share))[..., None], 2)
+        np.put_along_axis(of_nodes, node[..., None] + 1, (highlight * share)[..., None], 2)
         every = np.arange(P)
         for k in range(2):
             at = _COMMON + _OWN * every + k
@@ -471,7 +474,7 @@ class _Pixels:
         return residual, np.vstack([D.reshape(P * M, n), of_before])
 
     def _light(self, x: Array) -> Array:
-        diffuse, highlight, _ = self.shading(x)
+        diffuse, highlight, *_ = self.shading(x)
         return diffuse + highlight
 
     def _counts(self, root: Array) -> Array:
@@ -521,7 +524,7 @@ class _Pixels:
         # A step of the parameters turns the lamp by about as much in radians: see `_directions`.
         degrees = np.rad2deg(np.hypot(*self.slopes(deviation).T))
         gain, strength = fit.x[_COMMON:].reshape(-1, _OWN)[:, 2:].T
-        diffuse, highlight, _ = self.shading(fit.x)
+        diffuse, highlight, *_ = self.shading(fit.x)
         shine = highlight.sum(axis=1) / np.maximum((diffuse + highlight).sum(axis=1), np.finfo(float).tiny)
         gains = np.exp(gain + shine * strength) * self.levels
         lamps = tuple(Lamp(direction, self.distance) for direction in _directions(self.slopes(fit.x)))

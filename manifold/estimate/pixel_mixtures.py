@@ -69,13 +69,17 @@ class PixelPosterior:
         for count in np.unique(n_bright).tolist():
             own = n_bright == count
             some, s = B[:, own], seen[own]
-            for k, at in enumerate((slice(count), slice(count, None))):
-                if exposures[at].size:
+            # Bright under exposures up to the last of these, and dark from the next on: sums over exposures follow.
+            for k, (e, exists) in enumerate(((count - 1, count > 0), (count, count < E))):
+                if exists:
                     noise = LEAST if k else s
                     X, y = some * (b[own] / noise), s * b[own] / noise
-                    inner[k, at] += X @ X.T
-                    with_seen[k, at] += X @ y
-                    square[k, at] += y @ y
+                    inner[k, e] = X @ X.T
+                    with_seen[k, e] = X @ y
+                    square[k, e] = y @ y
+        for sums in (inner, with_seen, square):
+            sums[0] = np.cumsum(sums[0, ::-1], axis=0)[::-1]
+            np.cumsum(sums[1], axis=0, out=sums[1])
         n = int(material_of[-1])
         on_grid = atoms.grid_products(GRID_STRIDE)[np.ix_(index, index)]
         bounds = A[:, rows.is_bound], rows.seen[rows.is_bound], roots[rows.is_bound]

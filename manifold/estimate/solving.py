@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.interpolate import PchipInterpolator
 
 from manifold.core.errors import UsageError
 from manifold.core.pairs import cosine_weight
@@ -20,7 +20,14 @@ from manifold.core.records import Array, Mask
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.channels import Channels
 from manifold.estimate.evidence import Evidence, for_library, rows_of_gloss, rows_of_readings, usable_readings
-from manifold.estimate.mixtures import GlossReadings, Hypotheses, ReadingRoots, band_mixtures, posterior
+from manifold.estimate.mixtures import (
+    GlossReadings,
+    Hypotheses,
+    ReadingRoots,
+    band_mixtures,
+    log_sum,
+    posterior,
+)
 from manifold.estimate.pixel_mixtures import GRID_STRIDE, MODEL_ERROR, PixelPosterior, pixel_mixtures
 from manifold.estimate.residual import ResidualFactors, coordinates, residual_factors
 from manifold.estimate.sightings import Sighting, unlit
@@ -186,14 +193,16 @@ def mean_roots(readings: Readings) -> Array:
 
 # -- pictures ----------------------------------------------------------------------------------------------------------
 
-_EXPOSURES = np.geomspace(1.0 / 16.0, 16.0, 17)  # candidates, relative to the exposure of a grey ball
+_EXPOSURES = np.geomspace(
+    1.0 / 16.0, 16.0, 9
+)  # where evidence is computed, relative to the exposure of a grey ball
+_CANDIDATES = np.geomspace(1.0 / 16.0, 16.0, 129)  # where it is interpolated
 _GREY = 0.3  # its albedo
 _DARKEST = 0.01  # albedo: what is darker is as probable
 _WHITE = 0.1  # standard deviation of the logarithm of what is brighter than white
 _TEMPERED = (
     0.05  # weight of the evidence of pixels against the prior: the exposure is off by the least with it
 )
-_NEGLIGIBLE = 40.0  # logarithm of the ratio of probabilities: exposures that are less probable do not count
 _STRENGTHS = 4.0 ** np.arange(6)  # strengths to try for clipped spots, in addition to the clipped value
 _FINER = 2.0 ** np.linspace(-0.8, 0.8, 5)  # about the best of these
 _ROUNDS, _SETTLED = 8, 0.01  # rounds of gains and weights in turn, and largest change of the last
@@ -343,18 +352,16 @@ def probable_exposure(
     of_atoms = np.sum([rows.atoms @ rows.weights for rows in pictures], axis=0)
     lit = float(of_atoms[grey])
     brightness = np.log(np.maximum(of_atoms[:n][every[:n]] / lit, _DARKEST))
-    tried = _EXPOSURES * seen / (_GREY * lit)
-    log_albedo = np.log(seen / lit / tried)
-    prior = -0.5 * ((log_albedo - brightness.mean()) / max(brightness.std(), 0.1)) ** 2
-    prior -= 0.5 * (np.maximum(log_albedo, 0.0) / _WHITE) ** 2
+    of_grey = seen / (_GREY * lit)
+    log_albedo = np.log(_GREY / _CANDIDATES)
+    log = -0.5 * ((log_albedo - brightness.mean()) / max(brightness.std(), 0.1)) ** 2
+    log -= 0.5 * (np.maximum(log_albedo, 0.0) / _WHITE) ** 2
     weight = 1.0 if evidence.of_readings or evidence.of_gloss else _TEMPERED
-    channels = [PixelPosterior.of(atoms, rows, every, tried) for rows in evidence.under(gains)]
-    log = np.full(len(tried), -np.inf)
-    for e in np.argsort(-prior, kind="stable").tolist():
-        # The evidence is at most 1, and its logarithm at most 0.
-        if prior[e] > log.max() - _NEGLIGIBLE:
-            log[e] = prior[e] + weight * sum(channel.at(e).evidence for channel in channels)
-    return float(np.exp(np.exp(log - logsumexp(log)) @ np.log(tried)))
+    channels = [PixelPosterior.of(atoms, rows, every, of_grey * _EXPOSURES) for rows in evidence.under(gains)]
+    of_pixels = [sum(channel.at(e).evidence for channel in channels) for e in range(len(_EXPOSURES))]
+    # Splines of the evidence, which is smooth, are as exact as twice as many exposures.
+    log += weight * PchipInterpolator(np.log(_EXPOSURES), of_pixels)(np.log(_CANDIDATES))
+    return of_grey * float(np.exp(np.exp(log - log_sum(log)) @ np.log(_CANDIDATES)))
 
 
 def residuals_of(evidence: Evidence, weights: Array, exposures: Array) -> Array:

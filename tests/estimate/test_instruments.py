@@ -324,10 +324,20 @@ def test_a_sample_is_chosen_of_every_file_with_several(run, tmp_path):
         assert json.loads((tmp_path / "x.fit.json").read_text())["source"]["name"] == name
     status, _, err = run("fit", "several.csv", "-o", "x.fit.json", cwd=tmp_path)
     assert (status, err.count("several.csv")) == (1, 1)
-    for given in (["-o", "x_rgb.bsdf"], ["--picture"]):
+    for given in (["-o", "x_rgb.bsdf"], ["--gloss", "60=20"]):
         status, _, err = run("complete", "several.csv", *given, cwd=tmp_path)
         assert status == 2
         assert "2 samples (red, blue); name one by --sample" in " ".join(err.split())
+
+
+def test_the_picture_of_several_samples_is_their_sheet(run, tmp_path):
+    table_of(tmp_path / "several.csv", {"red": 0.2, "blue": 0.4})
+    status, _, err = run(
+        "complete", "several.csv", "--picture", "--resolution", "4", "--incidences", "4", "--workers", "1",
+        cwd=tmp_path,
+    )  # fmt: skip
+    assert status == 0, err
+    assert (tmp_path / "completions" / "completions.png").is_file()
 
 
 def test_a_correction_says_whether_it_is_better_than_none(rng, tmp_path):

@@ -336,7 +336,7 @@ def all_figures() -> list[tuple[str, str, Callable[[], Any], Callable[[Any], dic
     """Return the figures: name, the modules whose constants it serves, preparation, measurement."""
     return [
         ("completions", "estimate", atoms, completions),
-        ("expected", "estimate.expected estimate.completion", atoms, expected),
+        ("expected", "estimate.expected estimate.completion estimate.mixtures", atoms, expected),
         ("suggested", "estimate.suggestions estimate.evidence estimate.residual", atoms, suggested),
         (
             "colours",

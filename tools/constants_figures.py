@@ -132,10 +132,10 @@ def colour_and_gloss(_: None) -> dict[str, float]:
 
 
 def adjusted(model: Manifold) -> dict[str, float]:
-    """Return what is reached of a gloss and a hue that are asked for."""
+    """Return what is reached of a hue that is asked for."""
     found = {}
     for name in THREE[:1]:
-        made = adjust(model, name, Attributes({"gloss_60": Wanted(40.0), "hue": Wanted(30.0)}))
+        made = adjust(model, name, Attributes({"hue": Wanted(30.0)}))
         found[f"{name} missed"] = made.difference
         found |= {f"{name} x{k}": float(x) for k, x in enumerate(made.place.latent)}
     return found
@@ -336,7 +336,7 @@ def all_figures() -> list[tuple[str, str, Callable[[], Any], Callable[[Any], dic
     """Return the figures: name, the modules whose constants it serves, preparation, measurement."""
     return [
         ("completions", "estimate", atoms, completions),
-        ("expected", "estimate.expected estimate.completion", atoms, expected),
+        ("expected", "estimate.expected estimate.completion estimate.mixtures", atoms, expected),
         ("suggested", "estimate.suggestions estimate.evidence estimate.residual", atoms, suggested),
         (
             "colours",

@@ -17,7 +17,7 @@ from manifold.colour import lights
 from manifold.colour.conversion import srgb_to_xyz, to_xyz, xyz_to_srgb
 from manifold.colour.difference import delta_e_2000
 from manifold.core.directions import from_spherical, normalize, rotate_z
-from manifold.core.pairs import Pairs
+from manifold.core.pairs import GOLDEN, Pairs
 from manifold.core.records import Array, Bands, Indices
 
 VIEW = normalize(np.array([0.0, -8.2, 2.3]))
@@ -25,7 +25,6 @@ VIEW = normalize(np.array([0.0, -8.2, 2.3]))
 
 _PIXELS, _RINGS, _SPOKES = 10, 18, 12
 _ENVIRONMENT_ROWS, _BLUR = 20, 12
-_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
 def environment() -> Array:
@@ -124,7 +123,7 @@ def white_ball(pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES
     x, y, frame = frames(pixels)
     u = (np.arange(rings) + 0.5) / rings
     theta = np.repeat(0.5 * np.pi * u * u, spokes)
-    turn = (np.arange(spokes) + 0.5)[None] / spokes + _GOLDEN * np.arange(rings)[:, None]
+    turn = (np.arange(spokes) + 0.5)[None] / spokes + GOLDEN * np.arange(rings)[:, None]
     m = from_spherical(theta, 2.0 * np.pi * turn.ravel())  # [M, 3]
     area = np.sin(theta) * np.pi * np.repeat(u, spokes) / rings * 2.0 * np.pi / spokes
     wi = frame @ VIEW

@@ -18,7 +18,8 @@ from manifold.registries import NAMED_GRIDS
 LEVEL = 1e-9
 """Cosine of a direction at the horizon: a right angle rounds to 6e-17, by which f_cos must not be divided."""
 
-_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+"""The golden section, whose multiples spread evenly over a turn."""
 
 Symmetry = tuple[bool, int, float]
 """What `Pairs.located` takes."""
@@ -205,7 +206,7 @@ class RusinkiewiczGrid:
         wi, wo = from_rusinkiewicz(*self.angles(start, stop))
         above = (wi[:, 2] > 0.0) & (wo[:, 2] > 0.0)
         if self.is_turned:
-            azimuth = 2.0 * np.pi * ((_GOLDEN * np.arange(start, start + len(wi))) % 1.0)
+            azimuth = 2.0 * np.pi * ((GOLDEN * np.arange(start, start + len(wi))) % 1.0)
             wi, wo = rotate_z(wi, azimuth), rotate_z(wo, azimuth)
         return wi, wo, above
 

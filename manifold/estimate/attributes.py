@@ -1,9 +1,8 @@
 """Materials by attributes: gloss, lightness, chroma and hue.
 
-A material is found on a map: the place nearest to a given one whose material has the gloss, in the colour that is asked
-for or, without one, in the colour of the given material. Gloss is in gloss units (ISO 2813); lightness, chroma
-and hue are CIELAB's under D65 for the geometry 45/0, light at 45 degrees seen along the normal. Materials of a library
-are found by the same, or by their likeness to another material.
+A material at a place of a map takes the colour that is asked for; another coat gives it another gloss. Gloss is in
+gloss units (ISO 2813); lightness, chroma and hue are CIELAB's under D65 for the geometry 45/0, light at 45 degrees seen
+along the normal. Materials of a library are found by the same, or by their likeness to another material.
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ import re
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
@@ -24,8 +22,7 @@ from manifold.brdf.interface import BRDF, EvaluableBRDF
 from manifold.brdf.measured import MeasuredBRDF, values_at
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour import panel
-from manifold.colour.ball_colours import Picture
-from manifold.colour.conversion import luminance, srgb_to_xyz, to_xyz, xyz_weights
+from manifold.colour.conversion import srgb_to_xyz, to_xyz, xyz_weights
 from manifold.colour.difference import delta_e_2000, delta_e_2000_lab, to_lab
 from manifold.colour.narrow_bands import with_spectra
 from manifold.colour.reflectances import srgb_spectra
@@ -35,9 +32,8 @@ from manifold.core.errors import UsageError
 from manifold.core.judged_lights import LIGHTS
 from manifold.core.pairs import Pairs
 from manifold.core.records import Array, Bands, plain
-from manifold.estimate.gloss import gloss_meter, gloss_units, half_gloss_meter
+from manifold.estimate.gloss import gloss_units, half_gloss_meter
 from manifold.formats.readings import DAYLIGHT, GLOSS_ANGLES_DEG, Readings, gloss_fault
-from manifold.gp.encoding import Decoder
 from manifold.library.store import Library
 from manifold.model.blend_space import require_blends
 from manifold.model.colours import NEAREST, ColourChoice
@@ -45,12 +41,6 @@ from manifold.model.decoding import decoder_at
 from manifold.model.manifold import Manifold
 from manifold.model.places import Place, PlaceLike
 
-_METER_WEIGHT = (
-    1e3  # weight of squared errors of logarithms of attributes, against squared distance in length scales
-)
-_COLOUR_WEIGHT = 1.0  # weight of squared differences in CIELAB, likewise
-_ALONG = np.linspace(0.0, 1.0, 11)[:, None]  # places tried, on the way from the given one to every material
-_REFINED, _EVALUATIONS = 6, 100
 LEAST_GLOSS = 0.01  # gloss units
 _GREY = 0.2
 _LEAST_REFLECTANCE = 1e-3  # so that black can be tinted
@@ -111,8 +101,6 @@ class Attribute:
         json: keys that lead to the value in JSON.
         measure: its value of a BRDF.
         fault: what is wrong with a requested value; None if it is possible.
-        meter: the measurement as a sum of luminances, if a place on the map is searched for by it; None of coordinates
-            of the colour, which is tinted.
         tolerance: relative difference beyond which it was not reached; colours have `COLOUR_TOLERANCE` together.
         angle_deg: of gloss, which another coat reaches at any place; None of others.
         period: values that differ by it are the same.
@@ -125,7 +113,6 @@ class Attribute:
     json: tuple[str, ...]
     measure: Callable[[EvaluableBRDF], float]
     fault: Callable[[float], str | None]
-    meter: Callable[[], Picture] | None = None
     tolerance: float = GLOSS_TOLERANCE
     angle_deg: float | None = None
     period: float | None = None
@@ -151,8 +138,7 @@ def _gloss(angle: float) -> Attribute:
     return Attribute(
         f"gloss_{angle:g}", f"gloss at {angle:g} degrees", "gloss {:.3g} at " + f"{angle:g} degrees",
         ("gloss", f"{angle:g}"), lambda brdf: gloss_units(brdf, [angle])[angle], fault,
-        meter=lambda: gloss_meter(angle), angle_deg=angle,
-        slider=_GLOSS_SLIDER if angle == 60.0 else None,
+        angle_deg=angle, slider=_GLOSS_SLIDER if angle == 60.0 else None,
     )  # fmt: skip
 
 
@@ -334,27 +320,28 @@ def measured(brdf: EvaluableBRDF, keys: Iterable[str]) -> dict[str, float]:
 
 
 def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: ColourChoice = NEAREST) -> Adjusted:
-    """Find the place on a map and the colours that have given attributes and are nearest to the material at x.
+    """Find the colours that have given attributes and are nearest to those of a material at x.
 
-    Without attributes the place and its colours stay. Other colours need a map of blends.
+    Other colours than those of the material need a map of blends; `coat.with_gloss` changes gloss.
 
-    >>> adjust(model, "syn_card_brown", Attributes({"gloss_60": Wanted(40.0), "hue": Wanted(30.0)}))  # doctest: +SKIP
+    >>> adjust(model, "syn_card_brown", Attributes({"hue": Wanted(30.0)}))  # doctest: +SKIP
     """
     place = model.place(x)
-    chosen = model.choose_colour(place, colour)
-    present = model.predict(place, chosen.colours).turned(place.rotation_rad)
-    asked, factor = measured(present, ()) | attributes.values(present), factor_of(present)
+    colours = model.choose_colour(place, colour).colours
+    present = model.predict(place, colours).turned(place.rotation_rad)
+    asked = measured(present, ()) | attributes.values(present)
     if attributes.is_tinted:
-        factor = tinted(factor, _from_lch(np.array([asked[each.key] for each in COLOUR])), model.bands)
-    sought = {ATTRIBUTES[key]: value for key, value in asked.items() if ATTRIBUTES[key] not in COLOUR}
-    moved, colours = place, chosen.colours
-    if sought or attributes.is_tinted:
-        search = _PlaceSearch(model, tuple(sought), place.rotation_rad)
-        latent = search.nearest(place.latent, factor, sought)
-        colours = search.colours(latent, factor)
-        moved = replace(place, latent=latent, walk=None) if sought else place
-    reached = model.predict(moved, colours).turned(place.rotation_rad)
-    return Adjusted(moved, colours, asked, measured(reached, asked))
+        lab = _from_lch(np.array([asked[each.key] for each in COLOUR]))
+        colours = _colours_at(model, place, tinted(factor_of(present), lab, model.bands))
+    reached = model.predict(place, colours).turned(place.rotation_rad)
+    return Adjusted(place, colours, asked, measured(reached, asked))
+
+
+def _colours_at(model: Manifold, place: Place, factor: Array) -> Array:
+    """Return colours (B,) at which a place has a reflectance factor (B,) in the geometry 45/0, as the sample lies."""
+    pairs = Pairs(*(rotate_z(w[None], -place.rotation_rad) for w in (_LIGHT, _NORMAL)))
+    decoder = decoder_at(pairs, model.space, model.materials, model.settings)
+    return require_blends(model.space).colours_of(place.latent, factor, decoder, np.array([np.pi]))[0]
 
 
 def readings_of_colour(lab: Array, gloss: Mapping[float, float], bands: Bands) -> Readings:
@@ -371,62 +358,6 @@ def readings_of_colour(lab: Array, gloss: Mapping[float, float], bands: Bands) -
 def lab_of(brdf: EvaluableBRDF) -> Array:
     """Return the CIELAB (3,) of a BRDF under D65, lit at 45 degrees and seen along the normal."""
     return lab_of_factor(factor_of(brdf), brdf.bands)
-
-
-class _PlaceSearch:
-    """Looks for places of a map by attributes with a meter, in a given colour, of a sample that lies turned."""
-
-    def __init__(self, model: Manifold, sought: tuple[Attribute, ...], rotation_rad: float) -> None:
-        self._model, self._space = model, require_blends(model.space)
-        self._sought = sought
-        self._rotation_rad = rotation_rad
-
-    @cached_property
-    def _reflectometer(self) -> Decoder:
-        return self._decoder(_LIGHT[None], _NORMAL[None])
-
-    @cached_property
-    def _meters(self) -> dict[Attribute, tuple[Picture, Decoder]]:
-        meters = {each: each.meter() for each in self._sought if each.meter is not None}
-        return {each: (meter, self._decoder(meter.wi, meter.wo)) for each, meter in meters.items()}
-
-    def _decoder(self, wi: Array, wo: Array) -> Decoder:
-        model, back = self._model, -self._rotation_rad
-        pairs = Pairs(rotate_z(wi, back), rotate_z(wo, back))
-        return decoder_at(pairs, model.space, model.materials, model.settings)
-
-    def colours(self, x: Array, factor: Array) -> Array:
-        """Return colours (B,) at which a place x (Q,) has a reflectance factor (B,) in the geometry 45/0."""
-        return self._space.colours_of(x, factor, self._reflectometer, np.array([np.pi]))[0]
-
-    def nearest(self, start: Array, factor: Array, asked: Mapping[Attribute, float]) -> Array:
-        """Return the place nearest to a start (Q,) with attributes, in the colour of a reflectance factor (B,)."""
-        if not asked:
-            return start
-
-        bands, spot = self._model.bands, np.array([np.pi])
-        lab = lab_of_factor(factor, bands)
-
-        def cost(x: Array) -> float:
-            colours, spot_factor = self._space.colours_of(x, factor, self._reflectometer, spot)
-            off = lab_of_factor(spot_factor, bands) - lab
-            penalty = _COLOUR_WEIGHT * float(off @ off)
-            for attribute, value in asked.items():
-                meter, decoder = self._meters[attribute]
-                in_bands = self._space.reflectance_of(x, colours, decoder, meter.light)
-                reached = float(luminance(in_bands, self._model.bands))
-                penalty += _METER_WEIGHT * np.log(max(reached, LEAST_GLOSS) / value) ** 2
-            return float(np.sum((x - start) ** 2)) + penalty
-
-        ways = [min(start + _ALONG * (end - start), key=cost) for end in self._model.X]
-        tried = sorted(ways, key=cost)[:_REFINED]
-        minima = [
-            scipy.optimize.minimize(
-                cost, x, method="Nelder-Mead", options={"maxfev": _EVALUATIONS, "xatol": 1e-4, "fatol": 1e-4}
-            )
-            for x in tried
-        ]
-        return min(minima, key=lambda one: one.fun).x
 
 
 def tinted(factor: Array, lab: Array, bands: Bands) -> Array:

@@ -27,6 +27,7 @@ from manifold.colour import panel
 from manifold.colour.conversion import luminance
 from manifold.colour.difference import delta_e_2000_lab
 from manifold.core import disk
+from manifold.core.defaults import TINY
 from manifold.core.errors import FileFormatError, UsageError
 from manifold.core.metrics import EXPECTED_BALL, Errors
 from manifold.core.progress import Stages
@@ -62,7 +63,6 @@ _INDICES, _ALPHAS = (1.05, 1.8), (0.01, 1.0)
 _STARTS = (0.015, 0.03, 0.06, 0.12, 0.24, 0.5)  # roughness alpha at the start
 _EVALUATIONS = 15
 _ROUNDING, COLOUR_ROUNDING = 0.02, 1.0  # largest differences of log gloss, and in CIELAB
-_LEAST_SURFACE = 1e-9  # smallest value of a coat's surface or base, in 1/sr
 
 
 @dataclass(frozen=True)
@@ -400,9 +400,9 @@ def _highlight(
     """Return the highlight of values f (..., B) under a new surface, and the share of the old base in them."""
     surface, base = old
     rest = f - np.minimum(f, base)
-    ratio = rest / np.maximum(surface, _LEAST_SURFACE)
+    ratio = rest / np.maximum(surface, TINY)
     ratio = np.where(new_surface > surface, np.clip(ratio, 1.0, strength), ratio)
-    share = np.minimum(f / np.maximum(base, _LEAST_SURFACE), 1.0)
+    share = np.minimum(f / np.maximum(base, TINY), 1.0)
     return rest + ratio * (new_surface - surface), share
 
 
@@ -432,7 +432,7 @@ def with_gloss(brdf: BRDF, gloss: Mapping[float, float]) -> RecoatedBRDF:
     def below(surface: Array) -> Array:
         """Keep the colour: replace the light that the new surface's highlight lacks."""
         above, share = _highlight(factor, of_old, surface, strength)
-        return (factor - above) / np.maximum(share, _LEAST_SURFACE)
+        return (factor - above) / np.maximum(share, TINY)
 
     new, _ = nearest_coat(below, bands, off, float(np.mean(old.eta)))
     return RecoatedBRDF(brdf, old, new, strength)

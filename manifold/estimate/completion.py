@@ -18,7 +18,7 @@ from manifold.estimate.channels import Channels
 from manifold.estimate.evidence import Evidence, bands_of, beyond, in_all_bands
 from manifold.estimate.gloss import gloss_differences, gloss_units
 from manifold.estimate.mixtures import GlossReadings
-from manifold.estimate.residual import AdjustedBRDF, ResidualFactors, coordinates
+from manifold.estimate.residual import DARK, AdjustedBRDF, ResidualFactors, coordinates
 from manifold.estimate.solving import (
     CONTRADICTION,
     Seen,
@@ -36,7 +36,6 @@ from manifold.formats.readings import DAYLIGHT, Readings, Viewing
 
 _SHOWN_ALTERNATIVES = 5
 _NEAR_MIRROR_DEG = 5.0  # from a mirror direction, where readings measure all but the sharpest highlights
-_DARK = 0.1  # share of the mean over readings, to which errors of darker ones are relative
 _GLOSS_MISSED = 0.1  # relative error of cube roots above which gloss is not met
 _UNEXPLAINED = 0.2  # residual of mixtures
 NOISY = 0.03
@@ -221,7 +220,7 @@ class Completion:
         read = np.cbrt(np.maximum(np.where(is_read, self.readings.values, 0.0), 0.0))
         wrong = np.where(is_read, np.cbrt(np.maximum(self.predicted, 0.0)) - read, 0.0)
         norm = np.linalg.norm(read, axis=1)
-        relative = np.linalg.norm(wrong, axis=1) / np.maximum(norm, _DARK * norm.mean())
+        relative = np.linalg.norm(wrong, axis=1) / np.maximum(norm, DARK * norm.mean())
         return np.hypot(relative, self.readings.scatter)
 
     @cached_property

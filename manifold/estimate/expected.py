@@ -13,6 +13,7 @@ import numpy as np
 from manifold.colour import panel
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.panel import Panel
+from manifold.core.defaults import TINY
 from manifold.core.metrics import Errors, RunningErrors
 from manifold.core.records import Array, Indices, Mask, evenly_spaced
 from manifold.core.threads import one_blas_thread, share_out
@@ -30,7 +31,6 @@ _KINDS = ("ball", "scaled_ball", "cube_root", "linear", "near_mirror", "elsewher
 _NEAR_MIRROR_DEG = 10.0  # from the mirror direction
 _LEFT_OUT = 16  # materials by which errors of estimates from pictures are calibrated
 _MARGIN = 1.05  # residuals closer to the largest are equal to it for a user, and by rounding
-_LEAST = 1e-6  # of residuals and plausible errors, in divisions
 _PIXEL_STRIDE = 4  # one in this many pixels is enough for plausible errors
 _PLAUSIBLE, _RESIDUALS = "plausible_", "residuals"  # names of arrays in a library's cache
 _WORLD = 20  # left-out materials of a library that count as much as `_OF_WORLD`
@@ -136,11 +136,11 @@ class Calibration:
 
     def _at(self, plausible: Errors[float], residual: float, known: Mask) -> Errors[float]:
         """Return expected errors from some of the left-out materials, a mask (N,)."""
-        beyond = max(residual / max(float(self.residuals[known].max()), _LEAST), 1.0)
+        beyond = max(residual / max(float(self.residuals[known].max()), TINY), 1.0)
         expected = {}
         for kind in self.errors.known:
             ratios = getattr(self.errors, kind)[known] / np.maximum(
-                getattr(self.plausible, kind)[known], _LEAST
+                getattr(self.plausible, kind)[known], TINY
             )
             expected[kind] = beyond * _factor(ratios, _OF_WORLD[kind]) * getattr(plausible, kind)
         return Errors(**expected)
@@ -171,7 +171,7 @@ def _factor(ratios: Array, of_world: float) -> float:
     A library that lacks kinds of materials leaves out none of them, and has too small a factor: that of the world
     counts as `_WORLD` further materials where it is larger. Factors are averaged by their logarithms.
     """
-    own = max(typical(ratios), _LEAST)
+    own = max(typical(ratios), TINY)
     share = _WORLD / (_WORLD + len(ratios))
     return own * max(of_world / own, 1.0) ** share
 
@@ -204,7 +204,7 @@ def plausible_errors(made: Completion) -> Errors[float]:
         errors = _errors_of_values(atoms, f[..., None], np.broadcast_to(f_star[:, None], (*f.shape, 1)))
         errors |= Errors(ball=_lightness(lights, roots - roots_star))
         if atoms.is_linear:
-            scale = roots @ roots_star / max(float(roots_star @ roots_star), _LEAST)
+            scale = roots @ roots_star / max(float(roots_star @ roots_star), TINY)
             errors |= Errors(scaled_ball=_lightness(lights, roots - np.outer(scale, roots_star)))
         means.append(errors.over(alike.geometric_mean))
     return _arrays(means).over(lambda of_channels: float(np.exp(np.mean(np.log(of_channels)))))
@@ -337,7 +337,7 @@ def errors_of(atoms: LibraryAtoms, m: int, on_grid: Array, on_ball: Array) -> Er
 def _best_factor(light: Array, made: Array) -> float:
     """Return the factor by which cube roots of pixels, at most white, are nearest to those of others: both (K, 3)."""
     roots, roots_made = (np.cbrt(np.clip(each, 0.0, 1.0)) for each in (light, made))
-    return float(np.sum(roots * roots_made) / max(float(np.sum(roots_made**2)), _LEAST)) ** 3
+    return float(np.sum(roots * roots_made) / max(float(np.sum(roots_made**2)), TINY)) ** 3
 
 
 def _errors_of_values(atoms: LibraryAtoms, f: Array, f_star: Array) -> Errors[Array]:

@@ -18,7 +18,7 @@ from manifold.core.errors import UsageError
 from manifold.core.names import percent
 from manifold.core.records import Array, Indices, Mask, evenly_spaced
 from manifold.estimate.lamps import Lamp
-from manifold.estimate.outlines import Circle, Outline, Photograph, outlines_in
+from manifold.estimate.outlines import BRIGHT, Circle, Outline, Photograph, outlines_in
 
 _SIDES = (24, 48)  # pixels across a ball that are compared, to choose a start and to refine it
 _RIM = 0.95  # share of the radius that is compared
@@ -38,7 +38,6 @@ _LINEAR_RESIDUAL = 0.035  # largest residual of linear codes that explains pictu
 _CLEARLY = 1.6  # least ratio of residuals of two encodings: at most 1.33 in triples of pictures that are sRGB
 _CLEARLY_OF_FEW = 2.5  # the same of one or two pictures: at most 2.1 in single ones that are sRGB
 _OF_ENCODING = 3  # pictures in which encodings are compared; of more, some evenly spaced
-_BRIGHT = 0.995  # quantile of pixels that are taken for a highlight
 
 _NODES = np.sqrt([0.0, 1.0, 2.5, 4.5, 7.0, 10.0, 13.0, 17.0, 22.0, 28.0, 35.0, 45.0, 58.0, 72.0, 90.0])
 """Square roots of angles of the half vector, in degrees, between which the logarithm of the highlight is linear."""
@@ -234,7 +233,7 @@ def edges_on_limb(
         sums = np.cumsum(np.vstack([np.zeros(len(lit)), profile]), axis=0)
         means = (sums[n:] - sums[:-n]) / n
         inner, outer = means[: -n - blur], means[n + blur :]
-        black = _BLACK * float(np.quantile(grey, _BRIGHT))
+        black = _BLACK * float(np.quantile(grey, BRIGHT))
         contrast = np.nan_to_num(np.abs(inner - outer) / (np.abs(inner) + np.abs(outer) + black))
         best, ray = contrast.argmax(axis=0), np.arange(len(lit))
         near = np.arange(2 * n + blur)[:, None] + best
@@ -320,7 +319,7 @@ class _Pixels:
             grey = np.where(is_seen, np.maximum(grey, 0.0), 0.0)
             if step > 1.5:
                 grey = gaussian_filter(grey, 0.4 * step)
-            level = float(np.quantile(grey[i, j], _BRIGHT)) if len(i) else 0.0
+            level = float(np.quantile(grey[i, j], BRIGHT)) if len(i) else 0.0
             if not level > 0.0:
                 raise UsageError(f"{one.path}: the ball at {circle} is black, expected a lamp")
             levels.append(level)
@@ -349,7 +348,7 @@ class _Pixels:
         """
         n = self._normals(np.zeros(3))
         roots = np.where(self.is_seen, self.roots, 0.0)
-        bright = np.array([np.mean(n[row >= np.quantile(row, _BRIGHT)], axis=0) for row in roots])
+        bright = np.array([np.mean(n[row >= np.quantile(row, BRIGHT)], axis=0) for row in roots])
         bright /= np.linalg.norm(bright, axis=1, keepdims=True)
         mirrored = 2.0 * bright[:, 2:] * bright - [0.0, 0.0, 1.0]
         return [mirrored, bright]

@@ -17,10 +17,12 @@ from manifold.core.errors import FileFormatError, UsageError
 from manifold.core.names import percent
 from manifold.core.records import Array, Mask
 
+BRIGHT = 0.995
+"""Quantile of pixels that is white where outlines are searched, and a highlight where lamps are."""
+
 _LEAST_SIZE = 16
 _LEAST_RADIUS = 8.0  # pixels
 _SEARCHED = 800  # pixels of the longer side in which outlines and lamps are sought, at least, where pictures have more
-_BRIGHT = 0.995  # quantile of values that is white in what is searched
 _COARSE = 128  # pixels of the longer side in which circles are searched
 _RADII = 0.08, 0.62  # smallest and largest radius of circles, relative to that
 _LEAST_SUPPORT = 0.5  # share of the outline that is an edge
@@ -213,7 +215,7 @@ def _display(photographs: Sequence[Photograph]) -> tuple[Array, int]:
     """Return the maximum of photographs in display values, and the factor by which it is reduced."""
     factor = photographs[0].factor
     shown = np.max([np.nan_to_num(one.reduced(factor).values) for one in photographs], axis=0)
-    return encode_srgb(shown / max(float(np.quantile(shown, _BRIGHT)), np.finfo(float).tiny)), factor
+    return encode_srgb(shown / max(float(np.quantile(shown, BRIGHT)), np.finfo(float).tiny)), factor
 
 
 def _grey(display: Array) -> Array:

@@ -24,7 +24,6 @@ from manifold.render.render import render_floating_ball
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_ODD = 2.0  # least ratio of the error of a picture that contradicts the others to the median one
 _MARGIN = 0.05  # width around the ball in pictures of residuals, in radii
 _SIZE, _SAMPLES = 256, 32  # pixels a side, and samples per pixel, of predicted pictures
 _LARGEST_ERROR = 10.0  # CIEDE2000 of the brightest colour

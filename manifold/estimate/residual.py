@@ -19,12 +19,14 @@ from manifold.core.records import Array, Indices
 NOISE = 0.3
 """Variance of a reading's own part of the residual, over that of the part that neighbours share."""
 
+DARK = 0.1
+"""Share of the mean over readings to which differences of darker ones are relative."""
+
 _OWN = 0.4  # length of what a reading has for itself, over the others
 
 _LEAST_NOISE = 1e-6  # as such a share: what solves well
 
 _LENGTHS = np.array([0.12, 0.3, 0.3])  # correlation lengths of the three coordinates
-_DARK = 0.1  # share of the mean cube root over readings, to which residuals of darker ones are relative
 _MOST = 0.5  # relative residual: larger ones come from a wrong mixture, and say nothing of nearby directions
 _CELL = 0.5  # width of a cell, whose readings are averaged, in correlation lengths
 _MOST_CELLS = 256
@@ -98,7 +100,7 @@ def residual_factors(
     """
     cell = cells(where)
     count = int(cell.max()) + 1
-    residual = (measured - predicted) / np.maximum(predicted, _DARK * predicted.mean(axis=1, keepdims=True))
+    residual = (measured - predicted) / np.maximum(predicted, DARK * predicted.mean(axis=1, keepdims=True))
     residual = np.clip(residual, -_MOST, _MOST)  # 0 / 0 is NaN, which is left out: no factor changes black
     is_known = np.isfinite(residual) & (weights > 0.0)
     totals, sums = (

@@ -16,7 +16,7 @@ from manifold.core.records import Array, Indices, Mask
 from manifold.estimate.atoms import LibraryAtoms, ball_coordinates
 from manifold.estimate.completion import Completion
 from manifold.estimate.mixtures import material_prior
-from manifold.estimate.residual import NOISE, coordinates, covariance
+from manifold.estimate.residual import DARK, NOISE, coordinates, covariance
 from manifold.formats.light_side import LEAST_HIDDEN
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.library.store import Library
@@ -91,7 +91,6 @@ _MINI_DIFF_INCIDENCES_DEG = (0, 20, 40, 60)
 _MINI_DIFF_LARGEST_DEG = 75
 _READING_NOISE = 0.02  # relative deviation of a reading's cube root under a hypothesis
 _COLOUR_NOISE = 0.05  # deviation of a band from the mean of all, as a share of the reading's cube root
-_DARK = 0.1  # share of the root mean square over directions, to which the noise of smaller values is relative
 _MODEL_ERROR = 0.1  # standard deviation of the residual of all hypotheses, relative to cube roots
 _JITTER = 1e-6  # on the diagonal of covariances: candidates may coincide
 
@@ -234,7 +233,7 @@ def _residual(where: Array, taken: Array, level: Array, mean_on_ball: Array) -> 
 
 def _noise(square: Array, share: float) -> Array:
     """Return the variance of the noise of cube roots whose expected squares are (D,)."""
-    return np.asarray(share**2 * (square + _DARK**2 * square.mean()))
+    return np.asarray(share**2 * (square + DARK**2 * square.mean()))
 
 
 def _pixels(roots: Array) -> Array:

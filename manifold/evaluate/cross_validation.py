@@ -20,6 +20,9 @@ from manifold.evaluate.method_data import Data
 from manifold.evaluate.storage_forms import WHOLE, Storage
 from manifold.model.combination import Combination
 
+BYTES_PER_NUMBER = 8
+"""Of the numbers that describe a material by a method, in double precision."""
+
 Encode = Callable[[int], Combination]
 """A function from the index of a material to its prediction."""
 

@@ -21,7 +21,7 @@ from manifold.core.pairs import Pairs, RusinkiewiczGrid
 from manifold.core.records import Array, BsdfFile, evenly_spaced
 from manifold.evaluate import storage_forms
 from manifold.evaluate.coherences import measure_map
-from manifold.evaluate.cross_validation import Fit, Method, cross_validate, leave_out
+from manifold.evaluate.cross_validation import BYTES_PER_NUMBER, Fit, Method, cross_validate, leave_out
 from manifold.evaluate.errors import MethodErrors
 from manifold.evaluate.method_data import MAX_BANDS, Data, band_shares
 from manifold.evaluate.stopwatch import RelativeTime, Stopwatch, some_pairs
@@ -35,7 +35,6 @@ FOLDS = 10
 _TIMED, _REPEATS = 3, 5
 _BLOCK_PAIRS = 512
 _DENSE_PAIRS = RusinkiewiczGrid.named("hikichi").n_pairs
-_BYTES_PER_NUMBER = 8
 _STREAMED_BYTES = 1 << 26  # far more than caches hold
 _AT_ONCE = 8  # predictions evaluated together
 
@@ -164,7 +163,7 @@ class HeldOut:
 
     def _bytes(self, setting: Method, stored: StoredMaterials) -> int:
         B, N = self.data.n_bands, len(self._files)
-        numbers = _BYTES_PER_NUMBER * setting.numbers(B) * N
+        numbers = BYTES_PER_NUMBER * setting.numbers(B) * N
         if setting.is_dense:
             return N * _DENSE_PAIRS * B * 4 + numbers
         return stored.file_bytes(min(setting.sample_bands or B, B) / B) + numbers

@@ -24,6 +24,7 @@ from manifold.core.pairs import RusinkiewiczGrid
 from manifold.core.records import Array, Indices, evenly_spaced, plain
 from manifold.evaluate.coherences import coherences
 from manifold.evaluate.cross_validation import (
+    BYTES_PER_NUMBER,
     Encoded,
     Method,
     cross_validate,
@@ -57,7 +58,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 LONGEST_REFITS = 1e5  # materials times squared samples of each refit: above, a report refits only when asked
-_BYTES_PER_NUMBER = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -335,7 +335,7 @@ def _needed_bytes(library: Library, names: Sequence[str], method: Method) -> int
     n_bands = library.bands.count
     unused = 1.0 - min(method.sample_bands or n_bands, n_bands) / n_bands
     files = [library.attributes(name) for name in names]
-    return _BYTES_PER_NUMBER * method.numbers(n_bands) * len(names) + sum(
+    return BYTES_PER_NUMBER * method.numbers(n_bands) * len(names) + sum(
         info.bytes - round(unused * 4 * int(np.prod(info.shape))) for info in files
     )
 

@@ -13,7 +13,7 @@ from manifold.core.mapping import Identity
 from manifold.core.metrics import Errors
 from manifold.core.pairs import Pairs
 from manifold.core.records import Array, BsdfFile, Indices, evenly_spaced
-from manifold.evaluate.cross_validation import Encode, Method
+from manifold.evaluate.cross_validation import BYTES_PER_NUMBER, Encode, Method
 from manifold.evaluate.held_out import ChartRow, HeldOut
 from manifold.evaluate.method_data import Data
 from manifold.evaluate.stopwatch import RelativeTime
@@ -78,7 +78,6 @@ METHODS = ("gauss-newton", "adam", "swarm")
 FAMILY = "fit of the seen material"
 _TITLES = {"gauss-newton": "fit, Gauss-Newton", "adam": "fit, Adam", "swarm": "fit, swarm"}
 _REPEATS = 3
-_BYTES_PER_NUMBER = 8
 
 _Predictor = Callable[[Pairs], Callable[[], Array]]
 """A function from direction pairs to a function that predicts f in all bands there."""
@@ -113,7 +112,7 @@ def _row(
     errors, times = zip(*measured, strict=True)
     return ChartRow(
         key=key, title=title, family=FAMILY, is_held_out=False, errors=Errors.of_several(errors), fit=fit,
-        predict=RelativeTime.of_several(times), bytes=numbers * _BYTES_PER_NUMBER,
+        predict=RelativeTime.of_several(times), bytes=numbers * BYTES_PER_NUMBER,
     )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from manifold.core.directions import from_spherical
 from manifold.core.records import Array
-from manifold.formats.quantities import quantity_in_prose
+from manifold.formats.quantities import LEAST_COSINE, quantity_in_prose
 from manifold.formats.readings import GONIOMETER, Readings
 from manifold.formats.text import (
     NUMBER,
@@ -30,7 +30,6 @@ from manifold.formats.values import as_brdf, converted, unnamed_band
 
 _REMEDY = "export the measurement again"
 _ANGLE = re.compile(rf"{NUMBER}\s*(?:[^\W\d]+|[°º])?")
-_LEAST_COSINE = 1e-3  # DSF / cos(theta_o) is meaningless closer to the horizon
 
 
 def sniff(head: bytes) -> bool:
@@ -59,7 +58,7 @@ def read(path: Path) -> list[Readings]:
     if theta_i > 90.0:  # lit from behind: the sample is turned over
         theta_i, phi_i, theta, phi = 180.0 - theta_i, -phi_i, np.pi - theta, -phi
         notes.append("incidence beyond 90 degrees: the sample is turned over")
-    above = np.cos(theta) > _LEAST_COSINE
+    above = np.cos(theta) > LEAST_COSINE
     if not np.all(above):
         notes.append(f"{int((~above).sum())} rows at or below the horizon are left out")
     if not np.any(above):

@@ -19,7 +19,8 @@ import numpy as np
 from manifold.core.records import Array
 from manifold.formats.text import ErrorContext
 
-_LEAST_COSINE = 1e-3  # nearer to the horizon a value over its cosine says nothing
+LEAST_COSINE = 1e-3
+"""Smallest cosine with the normal of a direction whose value over its cosine says anything."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class Quantity:
         for letter, w in (("i", wi), ("o", wo)):
             if letter in self.cosines:
                 cosine = w[:, 2:]
-                f = np.divide(f, cosine, out=np.full_like(f, np.nan), where=cosine > _LEAST_COSINE)
+                f = np.divide(f, cosine, out=np.full_like(f, np.nan), where=cosine > LEAST_COSINE)
         return f
 
     @property

@@ -16,6 +16,7 @@ import numpy as np
 from manifold.core.directions import from_spherical
 from manifold.core.extras import require
 from manifold.core.records import Array
+from manifold.formats.quantities import LEAST_COSINE
 from manifold.formats.readings import GONIOMETER, Readings, mean_of_repeats
 from manifold.formats.text import ErrorContext, read_bytes
 from manifold.formats.values import unnamed_band
@@ -24,7 +25,6 @@ _REMEDY = "export the measurement again, or save another workbook as .xlsx"
 _LARGEST = 20_000_000  # bytes; ten thousand measurements have two million
 _ROWS = ("Azimuth", "Incidence", "Receive", "RT")
 _OBSCURED = np.cos(np.deg2rad(10.0))  # this near to the light the receiver stands in its way
-_LEAST_COSINE = 1e-3
 _NOISE = -1.0  # least value of RT, which is at most 1 for a perfect diffuser
 
 
@@ -47,7 +47,7 @@ def read(path: Path) -> list[Readings]:
         )
     notes = ["no blank measurement is subtracted"]
     wi, wo = from_spherical(incidence, np.pi), from_spherical(receive, 0.5 * np.pi + azimuth)
-    is_reflected = (wo[:, 2] > _LEAST_COSINE) & (wi[:, 2] > _LEAST_COSINE)
+    is_reflected = (wo[:, 2] > LEAST_COSINE) & (wi[:, 2] > LEAST_COSINE)
     is_clear = np.einsum("pi,pi->p", wi, wo) < _OBSCURED
     for count, why in (
         (int((~is_reflected).sum()), "at or below the horizon"),

@@ -21,6 +21,7 @@ from manifold.core.names import in_one_line
 from manifold.core.records import Array
 from manifold.formats.bsdf_text import Words, total_scatter, unique_directions
 from manifold.formats.dense import DenseTable
+from manifold.formats.quantities import LEAST_COSINE
 from manifold.formats.readings import GONIOMETER, Readings
 from manifold.formats.text import ErrorContext, read_bytes
 from manifold.formats.values import unnamed_band
@@ -29,7 +30,6 @@ _REMEDY = "open the file in Speos' BSDF viewer and save it as text again"
 _HEADER = re.compile(r"OPTIS - (brdf|anisotropic bsdf) surface file v(\d{1,3})", re.IGNORECASE)
 _BREAK = re.compile(r"\r\n|\r|\n")
 _OLDEST = 7  # the layout of older versions is not public
-_LEAST_COSINE = 1e-3  # nothing is measured nearer to the horizon
 _FLAT_NM = (350, 850)  # ends of the spectrum of a single band, as in the files of Ansys' converters
 
 
@@ -152,7 +152,7 @@ def _table(words: Words, is_bsdf: bool) -> _Table:
     if np.any(np.diff(theta) <= 0.0) or theta[0] < 0.0 or not np.isclose(phi[-1] - phi[0], 360.0):
         raise words.context.error("expected elevations that increase, and azimuths of a full turn", where)
     if not is_bsdf:  # intensities
-        f = f / np.maximum(np.cos(np.deg2rad(theta)), _LEAST_COSINE)[:, None]
+        f = f / np.maximum(np.cos(np.deg2rad(theta)), LEAST_COSINE)[:, None]
     return _Table(theta, phi, f, where)
 
 
@@ -179,7 +179,7 @@ def _readings(context: ErrorContext, nm: Array, blocks: list[_Block], notes: lis
     for block in by_angles.values():
         azimuth, radial, rows = unique_directions(block.phi, block.theta)
         out = from_spherical(np.deg2rad(radial), np.deg2rad(azimuth - block.turn))
-        above = out[:, 2] > _LEAST_COSINE
+        above = out[:, 2] > LEAST_COSINE
         light = from_spherical(np.deg2rad(block.theta_i), np.deg2rad(180.0 - block.turn))
         wi.append(np.tile(np.maximum(light, [-1.0, -1.0, 0.0]), (int(above.sum()), 1)))
         wo.append(out[above])

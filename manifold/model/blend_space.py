@@ -10,6 +10,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 import scipy
 
+from manifold.core.defaults import TINY
 from manifold.core.errors import UsageError
 from manifold.core.mapping import CubeRoot, ValueMapping
 from manifold.core.metrics import relative_error
@@ -31,7 +32,6 @@ _TRIED_PLACES, _REFINED_PLACES = 150, 3
 _EVALUATIONS = 150  # evaluations of each refinement
 _COORDINATES = 33  # coordinates of a path that the search tries
 _FIRST_COORDINATE = 0.05
-_LEAST_NORM = 1e-12
 _ENDS, _SPARSE = ("dark", "bright"), ("_data", "_indices", "_indptr")
 
 
@@ -295,10 +295,10 @@ class PlaceSearch:
         # Materials in their own colours, each band by the best gain.
         own = self._own[used]
         inner = np.maximum(np.einsum("nbp,bp->nb", own, weighted[bands]), 0.0)
-        squared = np.maximum(np.einsum("nbp,nbp->nb", own, own), _LEAST_NORM)
+        squared = np.maximum(np.einsum("nbp,nbp->nb", own, own), TINY)
         of_own = norm - np.sum(inner**2 / squared, axis=1)
         nearest = int(np.argmin(of_own))
-        relative = float(np.sqrt(max(min(of_own[nearest], residual), 0.0) / max(norm, _LEAST_NORM)))
+        relative = float(np.sqrt(max(min(of_own[nearest], residual), 0.0) / max(norm, TINY)))
         if of_own[nearest] >= residual:
             k, gains = found.coordinates(x)
             return x, np.stack([self._grid[k], gains]), relative
@@ -306,7 +306,7 @@ class PlaceSearch:
         vertices = self._at_vertices[self._starts[material] : self._starts[material + 1]]
         in_all = interpolate(self._coordinates[material], self._own_colours[material], vertices)  # [B, P]
         inner = np.maximum(np.einsum("bp,bp->b", in_all, weighted), 0.0)
-        gains = inner / np.maximum(np.einsum("bp,bp->b", in_all, in_all), _LEAST_NORM)
+        gains = inner / np.maximum(np.einsum("bp,bp->b", in_all, in_all), TINY)
         return self._X[material], np.stack([self._own_colours[material], gains]), relative
 
     def first_place(self, target: Array, bands: Indices, without: int | None) -> Array:
@@ -393,4 +393,4 @@ class _BestPlace:
         u = blend_weights(x, self._X, self._l)
         inner = np.maximum(u @ cross.reshape(len(cross), -1), 0.0).reshape(len(u), *cross.shape[1:])
         squared = (u @ self._rows.T).reshape(len(u), -1, u.shape[1]) @ u[:, :, None]
-        return inner, np.maximum(squared, _LEAST_NORM)
+        return inner, np.maximum(squared, TINY)

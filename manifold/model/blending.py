@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
+from manifold.core.defaults import TINY
 from manifold.core.errors import ShapeError
 from manifold.core.records import Array, Indices
 from manifold.gp.kernels import squared_distances
@@ -46,7 +47,6 @@ _EXAGGERATIONS = (
     2.0,
     1.0,
 )  # of the attraction, one after the other: the first arrange, the last is the objective
-_LEAST_AFFINITY = 1e-9
 _BISECTIONS = 60
 _RADIUS = 0.9  # radius of the kernel, in sides of a sample's share of the convex hull
 _NEAREST = 2.5  # length scales between neighbours, at most, in the median: in many dimensions the hull is all but flat
@@ -161,7 +161,7 @@ class LayoutObjective:
     """
 
     def __init__(self, others: Indices, affinity: Array, repelling: Indices, stand_for: Array) -> None:
-        used = affinity > _LEAST_AFFINITY
+        used = affinity > TINY
         i = np.broadcast_to(np.arange(len(others))[:, None], others.shape)
         self._i, self._j, self._p = i[used], others[used], affinity[used] / len(others)
         self._repelling, self._stand_for = repelling, stand_for

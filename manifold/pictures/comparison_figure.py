@@ -6,9 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from manifold.core.records import Array, Mask
-from manifold.pictures.figures import in_lines, new_figure
-
-_LARGEST_DELTA_E = 10.0  # end of the colour scale: far above what anybody takes for the same colour
+from manifold.pictures.figures import LARGEST_DELTA_E, in_lines, new_figure
 
 
 def comparison(
@@ -30,7 +28,7 @@ def comparison(
     for axis, picture, title in zip(axes[0], (display_a, display_b), titles, strict=True):
         axis.imshow(np.clip(picture, 0.0, 1.0), interpolation="nearest")
         axis.set_title(in_lines(title, 44), fontsize=10)
-    scale = min(_LARGEST_DELTA_E, max(1.0, float(delta_e.max())))
+    scale = min(LARGEST_DELTA_E, max(1.0, float(delta_e.max())))
     where = "picture" if within is None else "ball"
     means = [float(np.mean(values if within is None else values[within])) for values in (delta_e, flip)]
     maps = (

@@ -20,6 +20,9 @@ from manifold.core.errors import UsageError
 from manifold.core.names import without_controls
 from manifold.core.records import Array
 
+LARGEST_DELTA_E = 10.0
+"""End of the colour scale of differences: far above what anybody takes for the same colour."""
+
 _SUFFIXES = (".png", ".pdf", ".svg")
 # Installed ones draw the characters that the default font lacks.
 _FALLBACK_FONTS = (

@@ -9,10 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from manifold.core.records import Array, Mask
-from manifold.pictures.figures import in_lines, new_figure
+from manifold.pictures.figures import LARGEST_DELTA_E, in_lines, new_figure
 from manifold.pictures.slice_figures import INCIDENCES_DEG, ShownBRDF, draw_slices
-
-_LARGEST_DELTA_E = 10.0
 
 
 def fit_picture(
@@ -38,7 +36,7 @@ def fit_picture(
         axis.imshow(np.clip(picture, 0.0, 1.0), interpolation="nearest")
         axis.set_title(in_lines(source.label, 32), fontsize=10)
     maps = (
-        (delta_e, _LARGEST_DELTA_E, f"CIEDE2000 ({light}), mean {delta_e[inside].mean():.2f}"),
+        (delta_e, LARGEST_DELTA_E, f"CIEDE2000 ({light}), mean {delta_e[inside].mean():.2f}"),
         (flip, 1.0, f"FLIP, mean {flip[inside].mean():.3f}"),
     )
     for axis, (values, largest, name) in zip(axes[2:], maps, strict=True):

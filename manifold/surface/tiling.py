@@ -15,6 +15,7 @@ from scipy.ndimage import (
     label,
 )
 
+from manifold.core.defaults import TINY
 from manifold.core.errors import UsageError
 from manifold.core.records import Array, Indices, Mask
 from manifold.surface.estimate import Surface
@@ -30,7 +31,6 @@ _LEAST_DUST_PX, _MOST_DUST_PX = 12, 1024  # area; what is larger is a part of th
 _FEW = 3  # spots of a colour, fewer than which do not tell how frequent they are
 _SAME_DIRECTION, _SAME_STRENGTH = 0.9, 0.4  # of differences from the sample's colour: cosine, and ratio
 _HEALED_PX = 4  # around dust, in which what replaces it is blended
-_LEAST_STD = 1e-12  # of a channel, which may be constant
 _PLACES = 64  # random places, of which the one most alike replaces dust
 
 
@@ -180,7 +180,7 @@ def blend(sample: Array, size: int, rng: np.random.Generator, *, avoided: Mask |
     """
     avoided = np.full(sample.shape[:2], False) if avoided is None else avoided
     mean, std = sample[~avoided].mean(axis=0), sample[~avoided].std(axis=0)
-    healed = _healed((sample - mean) / np.maximum(std, _LEAST_STD), avoided, rng)
+    healed = _healed((sample - mean) / np.maximum(std, TINY), avoided, rng)
     return np.asarray(mean + std * quilt(healed, size, rng).blended(healed))
 
 

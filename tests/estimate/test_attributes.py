@@ -44,10 +44,6 @@ def model(tmp_path_factory) -> Manifold:
     return Manifold.fit(library, BlendSettings(), calibrate=False)
 
 
-def factor(brdf):
-    return np.pi * brdf.eval(from_spherical(np.pi / 4, 0.0), from_spherical(0.0, 0.0))
-
-
 def test_without_attributes_a_material_stays_where_it_is(model):
     name = model.names[0]
     found = adjust(model, name, Attributes())
@@ -56,32 +52,22 @@ def test_without_attributes_a_material_stays_where_it_is(model):
     assert found.difference < 0.1
 
 
-def test_what_is_reached_is_what_the_prediction_has_and_the_rest_is_said(model, rng):
-    gloss = [gloss_units(model.material(name), [60.0])[60.0] for name in model.names]
-    missed = 0
-    for _ in range(2):
-        name = str(rng.choice(model.names))
-        asked = float(np.exp(rng.uniform(np.log(min(gloss)), np.log(max(gloss)))))
-        found = adjust(
-            model, name, Attributes({"gloss_60": Wanted(asked), "hue": Wanted(40.0, is_relative=True)})
-        )
-        brdf = model.predict(found.place.latent, found.colours)
-        reached = gloss_units(brdf, [60.0])[60.0]
-        assert found.asked["gloss_60"] == pytest.approx(asked)
-        assert found.reached["gloss_60"] == pytest.approx(reached)
-        is_off = abs(reached - asked) > GLOSS_TOLERANCE * asked or found.difference > COLOUR_TOLERANCE
-        assert bool(found.shortfalls) == is_off
-        missed += is_off
-    assert missed <= 1
-
-
-def test_gloss_alone_keeps_the_colour(model):
-    name = min(model.names, key=lambda n: gloss_units(model.material(n), [60.0])[60.0])
-    found = adjust(model, name, Attributes({"gloss_60": Wanted(20.0)}))
-    assert found.reached["gloss_60"] == pytest.approx(20.0, rel=GLOSS_TOLERANCE)
-    np.testing.assert_allclose(
-        factor(model.predict(found.place.latent, found.colours)), factor(model.material(name)), atol=0.01
-    )
+def test_what_is_reached_is_what_the_prediction_has_and_the_rest_is_said(model):
+    for name, attributes in (
+        (model.names[0], {"hue": Wanted(40.0, is_relative=True)}),
+        (model.names[1], {"lightness": Wanted(60.0), "chroma": Wanted(20.0)}),
+        (model.names[2], {"lightness": Wanted(99.0), "chroma": Wanted(90.0)}),  # no reflectance has these
+    ):
+        found = adjust(model, name, Attributes(attributes))
+        np.testing.assert_array_equal(found.place.latent, model.latent(name))
+        lab = lab_of(model.predict(found.place.latent, found.colours))
+        reached = found.reached
+        assert np.hypot(*lab[1:]) == pytest.approx(reached["chroma"], rel=1e-6)
+        assert lab[0] == pytest.approx(reached["lightness"], rel=1e-6)
+        assert bool(found.shortfalls) == (found.difference > COLOUR_TOLERANCE)
+    assert found.shortfalls
+    grey = Attributes({"lightness": Wanted(60.0), "chroma": Wanted(5.0)})
+    assert not adjust(model, model.names[1], grey).shortfalls
 
 
 def test_values_are_absolute_or_relative():

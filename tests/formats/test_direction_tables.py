@@ -250,11 +250,34 @@ def test_values_that_only_one_unit_makes_plausible_decide_it(head, factor, unit,
         assert any("reflect more light than it receives" in note for note in found.notes)
 
 
+RED = (0.046, 0.046, 0.13, 0.55, 0.61)
+"""Reflectance factors of a red paint, whose mean over bands is possible for a BRDF in 1/sr."""
+
+
+@pytest.mark.parametrize(("scale", "unit"), [(1.0, "factor"), (100.0, "percent"), (1.0 / np.pi, "brdf")])
+def test_one_band_that_reflects_too_much_decides_the_unit(scale, unit, tmp_path):
+    path = tmp_path / "red.csv"
+    pairs = [(45, 0, 0), (45, 20, 0), (30, 60, 180), (20, 50, 180)]
+    rows = [";".join(map(str, (*pair, *(scale * v for v in RED)))) for pair in pairs]
+    path.write_text("\n".join(["theta_i;theta_o;phi;400;480;560;640;700", *rows]) + "\n")
+    found = registry.read_readings(path)
+    assert found.assumed_unit == unit
+    np.testing.assert_allclose(found.values, np.tile(RED, (4, 1)) / np.pi)
+
+
+def test_a_fluorescent_band_above_1_is_not_percent(tmp_path):
+    """Fluorescent paints have reflectance factors up to about 1.8 in one band."""
+    path = tmp_path / "pink.csv"
+    rows = [f"45,{theta},180,0.2,0.2,1.6" for theta in (0, 20, 40, 60)]
+    path.write_text("\n".join(["theta_i,theta_o,phi_o,450,550,610", *rows]) + "\n")
+    assert registry.read_readings(path).assumed_unit == "factor"
+
+
 @pytest.mark.parametrize(("factor", "is_said"), [(0.8, True), (0.25, False)])
 def test_few_values_that_look_like_factors_stay_a_brdf_with_a_note(factor, is_said, tmp_path):
-    """Two of these directions are away from the mirror direction: too few to decide the unit."""
+    """One of these directions is away from the mirror direction: too few to decide the unit."""
     path = tmp_path / "few.csv"
-    pairs = [(45, 0), (45, 30), (45, 60), (15, 0), (60, 0)]
+    pairs = [(45, 0), (45, 30), (45, 60), (15, 0)]
     path.write_text(
         "theta_i,theta_o,R,G,B\n" + "".join(f"{i},{o}" + f",{factor}" * 3 + "\n" for i, o in pairs)
     )

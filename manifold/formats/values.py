@@ -8,23 +8,27 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from manifold.core.records import Array
+from manifold.core.records import Array, Indices, Mask
 from manifold.formats.column_heads import channel, is_percent, uncertainty_head, wavelength
 from manifold.formats.quantities import BRDF, FACTORS, Quantity
+from manifold.formats.readings import NO_UNIT, Assumption
 from manifold.formats.text import LENGTH_UNIT, ErrorContext, is_length_unit, wavelength_nm
 
 SHORTEST_NM, LONGEST_NM = 100.0, 1e5
 """The range of wavelengths; values beyond it have another unit."""
 
-_NO_UNIT = "no unit given (--unit brdf, factor or percent): "
-TAKEN_AS_BRDF = _NO_UNIT + "taken as BRDF in 1/sr"
-LOOKS_LIKE_FACTORS = (
-    TAKEN_AS_BRDF
-    + "; the few values away from the mirror direction look like reflectance factors, since as BRDF they "
-    "would reflect more light than they receive: give --unit factor if they are"
+_NO_UNIT = f"{NO_UNIT} (--unit brdf, factor or percent): "
+_AS_BRDF = _NO_UNIT + "taken as BRDF in 1/sr"
+TAKEN_AS_BRDF = Assumption(_AS_BRDF)
+LOOKS_LIKE_FACTORS = Assumption(
+    _AS_BRDF
+    + "; the only value away from the mirror direction looks like a reflectance factor, since as BRDF it "
+    "would reflect more light than it receives: give --unit factor if it is"
 )
-TAKEN_AS_FACTORS = _NO_UNIT + "taken as reflectance factors, 1 being the perfect diffuser"
-TAKEN_AS_PERCENT = _NO_UNIT + "values above 2 away from the mirror direction, or above 30, taken as percent"
+TAKEN_AS_FACTORS = Assumption(_NO_UNIT + "taken as reflectance factors, 1 being the perfect diffuser")
+TAKEN_AS_PERCENT = Assumption(
+    _NO_UNIT + "values above 2 away from the mirror direction, or above 30, taken as percent"
+)
 TOO_BRIGHT = _NO_UNIT + "as BRDF in 1/sr it would reflect more light than it receives: "
 _MOST_BRDF = (
     1.15  # radiance factor of a band away from the mirror direction: of 20 real materials at most 1.02
@@ -128,8 +132,8 @@ def assumed_unit(raw: Sequence[tuple[Array, Array, Array]]) -> Assumed:
         is_too_bright(wi, wo, f, most=_PERCENT_FROM) or is_too_bright(wi, wo, f.mean(axis=1, keepdims=True))
         for wi, wo, f in as_factors
     ):
-        return Assumed("percent", FACTORS, 100.0, TOO_BRIGHT + "taken as per cent")
-    return Assumed("factor", FACTORS, 1.0, TOO_BRIGHT + "taken as reflectance factors")
+        return Assumed("percent", FACTORS, 100.0, Assumption(TOO_BRIGHT + "taken as per cent"))
+    return Assumed("factor", FACTORS, 1.0, Assumption(TOO_BRIGHT + "taken as reflectance factors"))
 
 
 def assumed_factors(raw: Sequence[tuple[Array, Array, Array]]) -> Assumed:
@@ -244,15 +248,25 @@ def is_too_bright(wi: Array, wo: Array, values: Array, fewest: int = 2, most: fl
 
     The median of a band decides, or the smallest of fewer than five values. False if there are fewer than `fewest`.
     """
-    mirror = np.einsum("pi,pi->p", wi * [-1.0, -1.0, 1.0], wo)
-    is_diffuse = (mirror < np.cos(np.deg2rad(40.0))) & (
-        np.minimum(wi[:, 2], wo[:, 2]) > np.cos(np.deg2rad(70.0))
-    )
-    for band in values[is_diffuse].T:
+    for band in values[_is_diffuse(wi, wo)].T:
         seen = band[np.isfinite(band)]
         if len(seen) >= fewest and np.pi * (np.median(seen) if len(seen) >= _FEW else seen.min()) > most:
             return True
     return False
+
+
+def too_bright_rows(wi: Array, wo: Array, values: Array) -> Indices:
+    """Return rows of values (P, B) in 1/sr whose mean over bands is too large there, if most rows are darker."""
+    with np.errstate(invalid="ignore"):
+        rows = np.flatnonzero(_is_diffuse(wi, wo) & (np.pi * np.mean(values, axis=1) > _MOST_BRDF))
+    return rows if 2 * len(rows) < len(values) else rows[:0]
+
+
+def _is_diffuse(wi: Array, wo: Array) -> Mask:
+    """Return a mask of direction pairs (P, 3) away from mirror direction and horizon."""
+    mirror = np.einsum("pi,pi->p", wi * [-1.0, -1.0, 1.0], wo)
+    is_seen = np.minimum(wi[:, 2], wo[:, 2]) > np.cos(np.deg2rad(70.0))
+    return np.asarray((mirror < np.cos(np.deg2rad(40.0))) & is_seen)
 
 
 def xyz_to_linear_srgb(xyz: Array) -> Array:
@@ -289,5 +303,5 @@ def unnamed_band(notes: list[str], context: ErrorContext, comments: Iterable[str
     if named is not None:
         notes.append(f"one band, its wavelength is taken from a comment: {named:g} nm")
         return np.array([named])
-    notes.append(f"one band without a wavelength: taken as {_UNNAMED_NM:g} nm")
+    notes.append(Assumption(f"one band without a wavelength: taken as {_UNNAMED_NM:g} nm"))
     return np.array([_UNNAMED_NM])

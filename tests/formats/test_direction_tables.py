@@ -15,7 +15,7 @@ from manifold.core.errors import FileFormatError, UsageError
 from manifold.core.records import Array, Bands
 from manifold.formats import fred, lighttools, openmaterial, registry, speos, utia
 from manifold.formats.column_heads import RELATIVE, angle_name, value_head, wavelength
-from manifold.formats.readings import UNITS
+from manifold.formats.readings import UNITS, Assumption, assumptions_first
 
 BLACK_LAB = REPOSITORY.parent / "shared" / "files" / "bsdf-tools" / "20250210_S7_sample_final.txt"
 BANDS = Bands((465.0, 525.0, 630.0))
@@ -285,7 +285,7 @@ def test_few_values_that_look_like_factors_stay_a_brdf_with_a_note(factor, is_sa
     assert found.assumed_unit == "brdf"
     np.testing.assert_allclose(found.values, factor)
     assert (
-        any("look like reflectance factors" in note and "--unit factor" in note for note in found.notes)
+        any("looks like a reflectance factor" in note and "--unit factor" in note for note in found.notes)
         == is_said
     )
     told = registry.read_readings(path, unit="factor")
@@ -416,6 +416,57 @@ def test_hidden_nodes_of_tables_are_no_readings(name, tmp_path):
     found = registry.read_readings(path)
     assert any("around the light are zero" in note for note in found.notes)
     assert np.min(found.values) > 0.0
+
+
+HEAD = "theta_i,theta_o,phi,value\n"
+
+
+def test_an_incidence_beyond_90_degrees_is_an_error_that_names_the_row(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text(HEAD + "45,0,0,0.1\n95,20,0,0.1\n30,10,180,0.1\n")
+    with pytest.raises(FileFormatError, match="row 3: incidence of 95 degrees, expected at most 90"):
+        registry.read_readings(path)
+
+
+def test_one_row_of_transmitted_light_is_noted_in_the_singular(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text(HEAD + "45,0,0,0.1\n45,100,0,0.1\n30,10,180,0.1\n")
+    notes = registry.read_readings(path).notes
+    assert "1 row of transmitted light (beyond 90 degrees) is left out" in notes
+
+
+def test_the_note_on_the_mirror_direction_has_the_heading_of_the_file(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text(HEAD + "45,0,0,0.1\n30,10,180,0.1\n")
+    found = registry.read_readings(path)
+    said = [note for note in found.notes if "mirror direction is taken at phi = 0 degrees" in note]
+    assert len(said) == 1
+    assert isinstance(said[0], Assumption)
+
+
+def test_rows_of_negative_values_are_named(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text(HEAD + "45,0,0,0.1\n45,20,0,-0.2\n30,10,180,-0.1\n20,50,180,0.1\n")
+    notes = registry.read_readings(path).notes
+    assert "row 3, row 4: negative values, which count as 0" in notes
+
+
+def test_a_row_far_brighter_than_a_diffuser_away_from_the_mirror_direction_is_named(tmp_path):
+    """Flakes make L* above 100 near the mirror direction, as in the second row."""
+    path = tmp_path / "lab.csv"
+    lightness = {"45as-15": 60, "45as15": 140, "45as25": 64, "45as45": 52, "45as75": 138, "45as110": 48}
+    path.write_text(
+        "Geometry,L* (D65/10),a* (D65/10),b* (D65/10)\n"
+        + "".join(f"{name},{L},1,1\n" for name, L in lightness.items())
+    )
+    said = [note for note in registry.read_readings(path).notes if "perfect diffuser" in note]
+    assert len(said) == 1
+    assert said[0].startswith("row 6: 2.34 times as bright")
+
+
+def test_notes_on_assumptions_come_first_once():
+    unit = Assumption("no unit given")
+    assert assumptions_first(["a", unit, "b", "a"]) == (unit, "a", "b")
 
 
 @pytest.mark.parametrize(("unit", "f"), [("brdf", 0.4), ("factor", 0.4 / np.pi), ("percent", 0.004 / np.pi)])

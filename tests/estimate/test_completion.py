@@ -29,6 +29,7 @@ from manifold.estimate import Completion, calibrate, expected, suggest
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.channels import in_channels, srgb_responses
 from manifold.estimate.completions import _of_unit as of_unit
+from manifold.estimate.completions import advise
 from manifold.estimate.evidence import Evidence, for_library, in_all_bands
 from manifold.estimate.expected import Calibration, errors_of, leave_out, plausible_errors
 from manifold.estimate.mixtures import (
@@ -767,3 +768,27 @@ def test_an_albedo_above_1_of_values_without_a_unit_asks_for_the_unit(unit, albe
     )
     notes = of_unit(read, plausibility)
     assert [("--unit factor" in note and "expected error" in note) for note in notes] == [True] * is_said
+
+
+@pytest.mark.parametrize(
+    ("fault", "unit", "begins"),
+    [
+        (None, None, "use it"),
+        (None, "a BRDF in 1/sr", "use it if the values are a BRDF in 1/sr"),
+        ("albedo 2.21; check the unit", "a BRDF in 1/sr", "do not use it: albedo 2.21"),
+    ],
+)
+def test_a_completion_in_doubt_is_not_simply_to_be_used(fault, unit, begins):
+    sure = Errors(ball=0.5, cube_root=0.05, near_mirror=0.05, elsewhere=0.05)
+    said = advise(sure, None, fault=fault, unit=unit)
+    assert said is not None
+    assert said.startswith(begins)
+    assert (said == "use it") == (fault is None and unit is None)
+
+
+def test_readings_darker_than_all_materials_ask_for_their_unit(atoms):
+    f = np.ones((len(DIRECTIONS[0]), 3))
+    dark, usual = (Completion.of(atoms, readings(scale * f)) for scale in (1e-9, 0.1))
+    assert dark.is_too_dark
+    assert "check their unit" in dark.notes[0]
+    assert not usual.is_too_dark

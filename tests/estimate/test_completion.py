@@ -22,7 +22,7 @@ from manifold.colour import panel
 from manifold.colour.conversion import luminance
 from manifold.colour.narrow_bands import SPECTRUM
 from manifold.core.directions import from_spherical
-from manifold.core.errors import BandMismatchError, LibraryError, UsageError
+from manifold.core.errors import BandMismatchError, LibraryError, UnknownNameError, UsageError
 from manifold.core.metrics import Errors, cube_root_error
 from manifold.core.records import Bands
 from manifold.estimate import Completion, calibrate, expected, suggest
@@ -792,3 +792,12 @@ def test_readings_darker_than_all_materials_ask_for_their_unit(atoms):
     assert dark.is_too_dark
     assert "check their unit" in dark.notes[0]
     assert not usual.is_too_dark
+
+
+def test_a_material_is_left_out_by_its_name_or_its_index_and_unknown_ones_are_refused(atoms):
+    by_name, by_index = atoms.without(NAMES[1]), atoms.without(1)
+    assert by_name.names == by_index.names == (NAMES[0], *NAMES[2:])
+    assert len(by_name) < len(atoms)
+    for unknown in ("chm_mint", len(NAMES), -1):
+        with pytest.raises(UnknownNameError, match=f"no material '?{unknown}"):
+            atoms.without(unknown)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -31,6 +32,7 @@ from manifold.estimate.completion import Alternative, Completion
 from manifold.estimate.expected import Calibration, calibrate, unreliable
 from manifold.estimate.inputs import safe_name
 from manifold.estimate.lamp_plan import LampPlan, plan_lamps
+from manifold.estimate.left_out_readings import LeftOutReadings, left_out_readings
 from manifold.estimate.picture_colours import with_picture_colours
 from manifold.estimate.sightings import PhotoRequest, SeenBall, see
 from manifold.estimate.solving import CONTRADICTION, Seen
@@ -149,6 +151,26 @@ class Completed(Result):
     def misfits_ciede2000(self) -> Array | None:
         """CIEDE2000 between every reading and the completion there, (P,); None without colours."""
         return None if self._readings is None else self.completion.colour_misfits
+
+    @cached_property
+    @derived(row="readings left out", words=lambda result: result.left_out_in_words(), is_detail=True)
+    def left_out_readings(self) -> LeftOutReadings | None:
+        """Errors of predicting each reading from the others; None without readings, or for many."""
+        return None if self._readings is None else left_out_readings(self.completion)
+
+    def left_out_in_words(self) -> str | None:
+        """Return the median and largest error of readings that the others predict; None without any."""
+        if (found := self.left_out_readings) is None:
+            return None
+        if found.ciede2000 is None:
+            return (
+                f"{percent(np.median(found.relative))} of cube roots in the median if the others predict a reading, "
+                f"at most {percent(found.relative.max())}"
+            )
+        return (
+            f"CIEDE2000 ({self.viewing}) {np.median(found.ciede2000):.2f} in the median if the others predict a "
+            f"reading, largest {found.ciede2000.max():.2f}"
+        )
 
     @property
     @derived()

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from helpers.chi_square import chi_square_p_value
 from helpers.readings import DIRECTIONS, readings
-from helpers.small_library import NAMES
+from helpers.small_library import NAMES, measured
 
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
@@ -32,6 +32,7 @@ from manifold.estimate.completions import _of_unit as of_unit
 from manifold.estimate.completions import advise
 from manifold.estimate.evidence import Evidence, for_library, in_all_bands
 from manifold.estimate.expected import Calibration, errors_of, leave_out, plausible_errors
+from manifold.estimate.left_out_readings import left_out_readings
 from manifold.estimate.mixtures import (
     COATED,
     LIKE_ONE,
@@ -801,3 +802,21 @@ def test_a_material_is_left_out_by_its_name_or_its_index_and_unknown_ones_are_re
     for unknown in ("chm_mint", len(NAMES), -1):
         with pytest.raises(UnknownNameError, match=f"no material '?{unknown}"):
             atoms.without(unknown)
+
+
+def test_a_left_out_reading_is_that_which_the_others_predict(atoms):
+    wi, wo = DIRECTIONS
+    brdf = MeasuredBRDF(measured("syn_felt_orange"))
+    read = readings(brdf.eval(wi, wo))
+    found = left_out_readings(Completion.of(atoms, read))
+    assert found is not None
+    others = Completion.of(atoms, read.select_pairs(np.arange(len(wi)) != 4))
+    f, f_star = read.values[4], others.brdf.eval(wi[[4]], wo[[4]])[0]
+    expected = np.linalg.norm(np.cbrt(f_star) - np.cbrt(f)) / np.linalg.norm(np.cbrt(f))
+    assert found.relative[4] == pytest.approx(expected, rel=1e-6)
+    assert found.relative.shape == found.ciede2000.shape == (len(wi),)
+
+
+def test_many_readings_or_one_are_not_left_out_in_turn(atoms):
+    one = readings(np.full((12, 3), 0.1)).select_pairs([0])
+    assert left_out_readings(Completion.of(atoms, one)) is None

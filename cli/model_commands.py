@@ -285,7 +285,9 @@ def _of_errors(fitted: Embedding) -> dict[str, str]:
     rows = {}
     if fitted.left_out is not None:
         ball = fitted.left_out.errors.ball
-        rows["left-out error"] = f"{np.median(ball):.1f}, 90th percentile {np.quantile(ball, 0.9):.1f} {BALL}"
+        rows["left-out error"] = (
+            f"{np.median(ball):.1f}, 90th percentile {np.quantile(ball, 0.9):.1f} {BALL}; latents kept (optimistic)"
+        )
     if fitted.coherence is not None:
         rows["detour"], rows["neighbours kept"] = fitted.coherence.words
         if fitted.coherence.warning:

@@ -309,7 +309,9 @@ def show_completed(
     assert completed.path is not None
     rows["next"] = terminal.export_command(completed.path)
     if readings and str(rows.get("advice", "")).startswith("do not"):
-        rows["next"] = f"manifold complete {shlex.join(map(str, readings))} --suggest 3"
+        command = f"manifold complete {shlex.join(map(str, readings))}"
+        is_suggested = completed.suggested is not None
+        rows["next"] = "measure the directions below" if is_suggested else f"{command} --suggest 3"
     results.rows(f"Completed {completed.path}", rows | terminal.notes(completed.diagnostics))
 
 

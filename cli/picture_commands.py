@@ -146,7 +146,7 @@ def slices(
     wavelengths = parse_wavelengths(bands) if bands is not None else []
     materials = options.material_sources(names or [], model, library, colour=colour)
     drawn = maps.sources(materials)
-    maps.slices(drawn, output, kind=kind, wavelengths_nm=wavelengths)
+    curves = maps.slices(drawn, output, kind=kind, wavelengths_nm=wavelengths)
     labels = [source.label for source in drawn]
     results.rows(f"Drawn {output}", {"materials": labels})
     predictions = {source.label: source.prediction for source in drawn if source.prediction is not None}
@@ -156,6 +156,7 @@ def slices(
         {
             "picture": output,
             "materials": labels,
+            "curves": curves,
             "predictions": predictions,
         }
     )

@@ -30,7 +30,7 @@ _SILENT_SECONDS = 10.0  # while a command works and stderr is no terminal
 _QUICK_SECONDS = 1.0  # work that is done by then needs no line
 _last_line = time.monotonic()
 
-_MOST_NOTES = 3  # of a result
+_MOST_NOTES = 4  # of a result
 _WIDTH = 80  # columns that sentences and lists are broken to; a line with a single long word may be longer
 
 
@@ -191,7 +191,7 @@ def notes(sentences: Sequence[str]) -> dict[str, object]:
     """Return rows of `Results.rows` for the first notes on a result, and for the number of the others."""
     different = list(dict.fromkeys(sentences))
     left = len(different) - _MOST_NOTES
-    others = {"more notes": f"{left} (--json lists them)"} if left > 0 else {}
+    others = {"more notes": f"{left} (--json lists all as diagnostics)"} if left > 0 else {}
     return numbered("note", different[:_MOST_NOTES]) | others
 
 

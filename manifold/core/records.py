@@ -199,10 +199,12 @@ class BsdfFile:
 def plain(value: Any) -> Any:
     """Return a value as JSON holds it: records by their `to_json` or fields, None for NaN, paths as text."""
     match value:
-        case None | bool() | int() | str():
+        case None | bool() | int():
             return value
+        case str():
+            return str(value)  # of subclasses too
         case float():
-            return value if math.isfinite(value) else None
+            return float(value) if math.isfinite(value) else None  # of NumPy too
         case Mapping():
             return {str(key): plain(each) for key, each in value.items()}
         case np.ndarray() | np.generic():

@@ -13,9 +13,9 @@ from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
 from manifold.brdf.interface import BRDF, all_isotropic
 from manifold.colour import ball_colours, panel
-from manifold.core.errors import UsageError
+from manifold.core.errors import UnknownNameError, UsageError
 from manifold.core.mapping import CubeRoot, Identity
-from manifold.core.names import counted
+from manifold.core.names import counted, names_like
 from manifold.core.pairs import Pairs
 from manifold.core.records import Array, Bands, Indices, Mask, evenly_spaced
 from manifold.estimate.gloss import gloss_meter
@@ -187,13 +187,34 @@ class LibraryAtoms:
         totals[: len(self.names)] = totals[-1] = np.inf
         return np.asarray(totals[self.material_of] > _LEAST_COAT)
 
-    def without(self, material: int) -> LibraryAtoms:
-        """Return the atoms of all materials but one of the library."""
-        rows = np.flatnonzero(self.material_of[self.mixed] != material)
+    def index(self, material: int | str) -> int:
+        """Return the index of a material of the library, of its name or its index.
+
+        Raises:
+            UnknownNameError: there is no such material.
+        """
+        if material in self.names:
+            return self.names.index(str(material))
+        if isinstance(material, str):
+            raise UnknownNameError(
+                f"no material '{material}' in the library; {names_like(self.names, material)}"
+            )
+        if not 0 <= material < len(self.names):
+            raise UnknownNameError(f"no material {material}, expected 0 to {len(self.names) - 1}, or a name")
+        return int(material)
+
+    def without(self, material: int | str) -> LibraryAtoms:
+        """Return the atoms of all materials of the library but one, given by its name or its index.
+
+        Raises:
+            UnknownNameError: there is no such material.
+        """
+        left_out = self.index(material)
+        rows = np.flatnonzero(self.material_of[self.mixed] != left_out)
         left = replace(
             self,
-            names=tuple(name for m, name in enumerate(self.names) if m != material),
-            materials=[brdf for m, brdf in enumerate(self.materials) if m != material],
+            names=tuple(name for m, name in enumerate(self.names) if m != left_out),
+            materials=[brdf for m, brdf in enumerate(self.materials) if m != left_out],
             directions=self.directions[rows],
             ball=self.ball[rows],
         )

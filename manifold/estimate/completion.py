@@ -12,6 +12,7 @@ from manifold.brdf.interface import BRDF
 from manifold.colour import panel
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000_lab, lab_values
+from manifold.core.directions import angles_from_mirror
 from manifold.core.records import Array, Bands, Mask
 from manifold.estimate.atoms import LibraryAtoms, ball_coordinates, grid_coordinates, shown_shares
 from manifold.estimate.channels import Channels
@@ -32,7 +33,7 @@ from manifold.estimate.solving import (
     solve,
     solve_pictures,
 )
-from manifold.formats.readings import DAYLIGHT, Readings, Viewing
+from manifold.formats.readings import DAYLIGHT, Assumption, Readings, Viewing
 
 _SHOWN_ALTERNATIVES = 5
 _NEAR_MIRROR_DEG = 5.0  # from a mirror direction, where readings measure all but the sharpest highlights
@@ -41,6 +42,7 @@ _UNEXPLAINED = 0.2  # residual of mixtures
 NOISY = 0.03
 """Residual that the noise of pictures can make."""
 
+_MUCH_DARKER = 4.0  # ratio of f; black materials of the library are within a factor of three of each other
 _MUCH_LESS = 0.7  # share of a residual
 _VISIBLE_NM = 550.0  # bands on both sides make a colour
 _ALIKE = 0.1  # relative difference on a ball below which two mixtures are one alternative
@@ -466,8 +468,41 @@ class Completion:
         if self.evidence.pictures:
             notes = [*of_gloss, *self._notes_of_pictures(), *(() if read is None else read.notes)]
         else:
-            notes = [*of_gloss, *self._unexplained(), *self._unread(), *self.readings.notes]
+            notes = [
+                *self._too_dark(),
+                *of_gloss,
+                *self._unexplained(),
+                *self._unread(),
+                *self.readings.notes,
+            ]
         return tuple(notes)
+
+    @cached_property
+    def times_darker(self) -> float:
+        """Ratio of f of the darkest material of the library at the readings to theirs, by mean cube roots; or 0."""
+        if self.evidence.at is None or self.evidence.readings is None:
+            return 0.0
+        roots = self.evidence.at[0][: self.atoms.n_measured].reshape(
+            len(self.atoms.names), -1, len(self.readings)
+        )
+        darkest = np.cbrt(np.mean(roots**3, axis=1)).mean(axis=1).min()
+        return float(darkest / max(float(mean_roots(self.readings).mean()), np.finfo(float).tiny)) ** 3
+
+    @property
+    def is_too_dark(self) -> bool:
+        """Whether the readings are so much darker than the library that their unit is in doubt."""
+        return self.times_darker > _MUCH_DARKER
+
+    def _too_dark(self) -> list[str]:
+        """Return a sentence if the readings are darker than any material of the library."""
+        if not self.is_too_dark:
+            return []
+        return [
+            Assumption(
+                f"the readings are {self.times_darker:.2g} times darker than the darkest material of the library would "
+                "be at their directions: check their unit (--unit)"
+            )
+        ]
 
     def _unread(self) -> list[str]:
         """Return sentences on bands and directions without readings."""
@@ -499,8 +534,16 @@ class Completion:
         return [
             f"no mixture of two materials explains the readings (residual {100.0 * self.residual_of_mixtures:.0f} "
             f"% before the combination is adjusted to them, {100.0 * self.residual_of_readings:.1f} % "
-            "after): the result follows them, and other directions are uncertain"
+            f"after; most at {self._worst_reading()}): the result follows them, and other directions are uncertain"
         ]
+
+    def _worst_reading(self) -> str:
+        """Return the directions of the reading that the most probable mixtures miss most."""
+        readings, at, _ = self.evidence.read
+        probability, weights = self._mixtures
+        off = probability @ np.abs(weights @ at - mean_roots(readings))
+        theta_i, theta_o, azimuth = angles_from_mirror(readings.wi, readings.wo)[int(np.argmax(off))]
+        return f"incidence {theta_i:.0f}, outgoing {theta_o:.0f}, azimuth {azimuth:.0f} degrees from the mirror side"
 
     def _notes_of_pictures(self) -> list[str]:
         """Return sentences on missing light, and on the agreement of light, pictures and other observations."""

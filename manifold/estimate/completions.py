@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -31,11 +32,12 @@ from manifold.estimate.completion import Alternative, Completion
 from manifold.estimate.expected import Calibration, calibrate, unreliable
 from manifold.estimate.inputs import safe_name
 from manifold.estimate.lamp_plan import LampPlan, plan_lamps
+from manifold.estimate.left_out_readings import LeftOutReadings, left_out_readings
 from manifold.estimate.picture_colours import with_picture_colours
 from manifold.estimate.sightings import PhotoRequest, SeenBall, see
 from manifold.estimate.solving import CONTRADICTION, Seen
 from manifold.estimate.suggestions import Suggested, directions_left, suggest
-from manifold.formats.readings import Between, Readings, Viewing, gloss_fault
+from manifold.formats.readings import Assumption, Between, Readings, Viewing, assumptions_first, gloss_fault
 from manifold.formats.text import number
 from manifold.library.store import Library
 from manifold.model import diagnostics
@@ -101,7 +103,15 @@ class Completed(Result):
     @derived(row="advice")
     def advice(self) -> str | None:
         """Whether to use it, by its expected errors, and what to read first otherwise; None without them."""
-        return advise(self.expected, self.next_readings)
+        return advise(self.expected, self.next_readings, fault=self.fault, unit=_unit(self._readings))
+
+    @property
+    def fault(self) -> str | None:
+        """Why the values themselves are in doubt: the material is too bright or too dark; None if it is not."""
+        check = "check the exposure" if self._readings is None else "check the unit of the readings (--unit)"
+        if self.plausibility is not None and self.plausibility.max_albedo > diagnostics.MOST_ALBEDO:
+            return f"albedo {self.plausibility.max_albedo:.2f}; {check}, or write it with --physical"
+        return f"darker than all materials of the library; {check}" if self.completion.is_too_dark else None
 
     expected: Errors[float] = field(
         metadata=entry(
@@ -141,6 +151,26 @@ class Completed(Result):
     def misfits_ciede2000(self) -> Array | None:
         """CIEDE2000 between every reading and the completion there, (P,); None without colours."""
         return None if self._readings is None else self.completion.colour_misfits
+
+    @cached_property
+    @derived(row="readings left out", words=lambda result: result.left_out_in_words(), is_detail=True)
+    def left_out_readings(self) -> LeftOutReadings | None:
+        """Errors of predicting each reading from the others; None without readings, or for many."""
+        return None if self._readings is None else left_out_readings(self.completion)
+
+    def left_out_in_words(self) -> str | None:
+        """Return the median and largest error of readings that the others predict; None without any."""
+        if (found := self.left_out_readings) is None:
+            return None
+        if found.ciede2000 is None:
+            return (
+                f"{percent(np.median(found.relative))} of cube roots in the median if the others predict a reading, "
+                f"at most {percent(found.relative.max())}"
+            )
+        return (
+            f"CIEDE2000 ({self.viewing}) {np.median(found.ciede2000):.2f} in the median if the others predict a "
+            f"reading, largest {found.ciede2000.max():.2f}"
+        )
 
     @property
     @derived()
@@ -505,21 +535,37 @@ def complete(
     made: dict[str, Any] = {
         "path": output, "picture": picture, "completion": completion, "correction": correction,
         "expected": written.expected(expected), "plausibility": written.plausibility, "next_readings": next_readings,
-        "count": count, "diagnostics": notes, "seconds": time.perf_counter() - start,
+        "count": count, "diagnostics": assumptions_first(notes), "seconds": time.perf_counter() - start,
     }  # fmt: skip
     return Photographed(**made, balls=balls, plan=plan) if balls else Completed(**made)
 
 
-def advise(expected: Errors[float], next_readings: Suggested | None) -> str | None:
-    """Return whether to use a completion of some expected errors, and the first of the next readings to take."""
+def advise(
+    expected: Errors[float],
+    next_readings: Suggested | None,
+    *,
+    fault: str | None = None,
+    unit: str | None = None,
+) -> str | None:
+    """Return whether to use a completion of some expected errors, and the first of the next readings to take.
+
+    It is not to be used if there is a fault, and only if the values are in a unit, where one was assumed.
+    """
     if "scaled_ball" in expected.known:
         return (
             "do not use its brightness, which is a guess: picture a white or grey card (--grey), or read the material "
             "once (--lab, or --readings at 45/0)"
         )
+    if fault is not None:
+        return f"do not use it: {fault}"
     where = unreliable(expected)
     if where is None:
-        return "use it" if "elsewhere" in expected.known else None
+        use = (
+            "use it"
+            if unit is None
+            else f"use it if the values are {unit}, which the file does not say (--unit)"
+        )
+        return use if "elsewhere" in expected.known else None
     if where == "highlights":
         advice = (
             f"do not use it for highlights: {percent(expected.near_mirror)} expected cube-root error there"
@@ -548,6 +594,14 @@ def odd_pictures(names: Sequence[str], predicted: Sequence[float]) -> list[str]:
     ]
 
 
+def _unit(readings: Readings | None) -> str | None:
+    """Return the unit that was assumed, in words; None where the file states it or its format defines it."""
+    words = {"brdf": "a BRDF in 1/sr", "factor": "reflectance factors", "percent": "per cent"}
+    if readings is None or readings.unit_note is None:
+        return None
+    return words.get(readings.assumed_unit or "")
+
+
 def _of_unit(readings: Readings | None, plausibility: Plausibility) -> tuple[str, ...]:
     """Return a note if readings without a unit make a material that reflects more light than it receives."""
     if (
@@ -557,8 +611,10 @@ def _of_unit(readings: Readings | None, plausibility: Plausibility) -> tuple[str
     ):
         return ()
     return (
-        "the values have no unit and were taken as BRDF in 1/sr: with this albedo they may be reflectance factors "
-        "(--unit factor); the expected error does not include that",
+        Assumption(
+            "the values have no unit and were taken as BRDF in 1/sr: with this albedo they may be reflectance factors "
+            "(--unit factor); the expected error does not include that"
+        ),
     )
 
 

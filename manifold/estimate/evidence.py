@@ -235,7 +235,7 @@ def for_library(readings: Readings, bands: Bands) -> Readings:
     if bands.is_rgb and nm is not None and len(nm) <= _FEW_BANDS:
         raise BandMismatchError(
             f"{readings.name}: {readings.bands}, expected blue, green and red, or a spectrum, for an RGB library; "
-            "complete them with a spectral one"
+            "complete them with a spectral one (manifold fetch && manifold import rgl)"
         )
     return readings
 

@@ -12,7 +12,8 @@ import numpy as np
 from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.notebook import ball_image, sun_image
-from manifold.core.directions import angles_from_mirror
+from manifold.colour.difference import lab_values
+from manifold.core.directions import angles_from_mirror, from_spherical
 from manifold.core.records import Array, evenly_spaced
 from manifold.estimate.gloss import gloss_units
 from manifold.formats.readings import GLOSS_ANGLES_DEG, Readings
@@ -30,15 +31,19 @@ if TYPE_CHECKING:
     from manifold.estimate.completion import Completion
     from manifold.estimate.completions import Completed
     from manifold.estimate.instruments import CalibratedInstrument
+    from manifold.estimate.left_out_readings import LeftOutReadings
 
 _BALL, _WIDTH = 256, 192  # pixels of a ball, and on the page
 _WIDE = 800  # pixels of a figure on the page
 _COARSE_BALL = 96  # without Mitsuba
+_SUN_SHARE = 0.625  # of the frame's width that the ball fills, as in the studio
 _SUN_DEG = 45.0
 _BACKGROUND = 0.12
 _MOST_READINGS = 60  # rows of a table: of more readings, those that differ most
 _FLOP_DEG = (15.0, 45.0, 110.0)
 _MOST_INCIDENCES, _MOST_SPECTRA = 4, 6  # lines of a figure
+_GRAZING_DEG = 80.0  # largest outgoing angle of curves
+_HIGHLIGHT_DEG = 10.0  # from the mirror direction, where values do not set the frame
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#000000")
 
 
@@ -53,7 +58,8 @@ def write_completion(path: Path, completed: Completed, sources: Sequence[Path] =
     sections = [
         Section("Sample", rows),
         balls(brdf),
-        *([] if completed.readings is None else _of_colours(completion)),
+        *([] if completed.readings is None else _of_colours(completion, completed.left_out_readings)),
+        *_suggested(completed),
         gloss(brdf, completion.evidence.gloss),
         Section(
             "Most probable mixtures, before they are adjusted to the observations; the last column is the cube-root "
@@ -80,6 +86,15 @@ def write_completion(path: Path, completed: Completed, sources: Sequence[Path] =
     )
     title = completed.sample or completed.path.stem
     html_page.write(path, title, f"{completed.path.name}, completed from {observed}.", sections)
+
+
+def _suggested(completed: Completed) -> list[Section]:
+    """Return the directions that were suggested to measure next."""
+    if completed.suggested is None:
+        return []
+    table = [tuple(f"{angle:.0f}" for angle in row) for row in completed.suggested.angles_deg]
+    title = "Directions to measure next, in degrees; azimuth 0 on the side of the mirror direction"
+    return [Section(title, heads=("incidence", "outgoing", "azimuth"), table=table)]
 
 
 def write_coat(path: Path, coated: Coated) -> None:
@@ -125,10 +140,17 @@ def write_calibration(path: Path, calibrated: CalibratedInstrument) -> None:
 def balls(brdf: BRDF) -> Section:
     """Return the ball of a material in the studio and under a sun."""
     studio = studio_ball(brdf)
-    sun, is_lit = sun_image(brdf, _BALL, _SUN_DEG)
-    across = 2.0 * (np.arange(_BALL) + 0.5) / _BALL - 1.0
+    margin = round(0.5 * _BALL * (1.0 - _SUN_SHARE))
+    size = _BALL - 2 * margin
+    sun, is_lit = sun_image(brdf, size, _SUN_DEG)
+    across = 2.0 * (np.arange(size) + 0.5) / size - 1.0
     beside = np.hypot(across, across[:, None])[..., None] > 1.0
-    shown = [studio, np.where(is_lit[..., None], sun, np.where(beside, _BACKGROUND, 0.0))]
+    framed = np.pad(
+        np.where(is_lit[..., None], sun, np.where(beside, _BACKGROUND, 0.0)),
+        ((margin, margin), (margin, margin), (0, 0)),
+        constant_values=_BACKGROUND,
+    )
+    shown = [studio, framed]
     names = ("in the studio", f"under a sun {_SUN_DEG:g} degrees beside the view")
     pictures = [
         (name, html_page.picture(image, f"ball {name}", _WIDTH))
@@ -153,12 +175,12 @@ def write_index(path: Path, made: Sequence[tuple[str, str, str, str]]) -> None:
     html_page.write(path, "Completions", f"{len(made)} reports.", f"<main>{cards}</main>")
 
 
-def _of_colours(made: Completion) -> list[Section]:
+def _of_colours(made: Completion, left_out: LeftOutReadings | None) -> list[Section]:
     """Return readings beside the completion: a figure over angles, spectra, and a table."""
     if made.colours is None or made.colour_misfits is None:
         return []
     read, found = made.colours
-    off = made.colour_misfits
+    off, predicted = made.colour_misfits, None if left_out is None else left_out.ciede2000
     angles = angles_of(made.readings.wi, made.readings.wo)
     shown = np.arange(len(off))
     title = f"Colours (L*, a*, b* under {made.viewing}), readings and completion"
@@ -171,55 +193,94 @@ def _of_colours(made: Completion) -> list[Section]:
             "" if np.isnan(angles[k, 3]) else f"{angles[k, 3]:.0f}",
             *(f"{value:.1f}" for value in (*read[k], *found[k])),
             f"{off[k]:.2f}",
+            *([] if predicted is None else [f"{predicted[k]:.2f}"]),
         )
         for k in shown
     ]
     lab = ("L* read", "a*", "b*", "L* completed", "a*", "b*")
-    heads = ("incidence", "outgoing", "azimuth", "aspecular", *lab, f"CIEDE2000 ({made.viewing})")
+    heads: tuple[str, ...] = (
+        "incidence",
+        "outgoing",
+        "azimuth",
+        "aspecular",
+        *lab,
+        f"CIEDE2000 ({made.viewing})",
+    )
+    if predicted is not None:
+        heads = (*heads, "predicted from the others")
     rows = {}
     if (flop := flop_index(angles, read)) is not None:
         rows["flop index"] = (
             f"{flop:.2f} read, {flop_index(angles, found):.2f} completed (2.69 (L15 - L110)^1.11 / L45^0.86)"
         )
     figures = [
-        ("over the aspecular angle; lines: completed, dots: readings", _colour_figure(angles, read, found))
+        (
+            "over the aspecular angle; lines: completed, band: within the factor of 90 % probability, dots: readings; "
+            "highlights within 10 degrees of the mirror direction may exceed the frame",
+            _colour_figure(made, angles, read),
+        )
     ]
     if made.readings.wavelengths_nm is not None:
         spectra = _spectra_figure(made.readings, made.predicted, angles)
-        figures.append(("reflectance factors; lines: completed, dots: readings", spectra))
+        some = min(_MOST_SPECTRA, len(off))
+        which = "" if some == len(off) else f" at {some} of {len(off)} geometries, evenly chosen"
+        figures.append((f"reflectance factors{which}; lines: completed, dots: readings", spectra))
     pictures = [(caption, html_page.drawing(figure)) for caption, figure in figures if figure is not None]
     return [Section("Over angles", rows, pictures=pictures), Section(title, heads=heads, table=table)]
 
 
-def _colour_figure(angles: Array, read: Array, found: Array) -> Figure | None:
-    """Draw CIELAB (P, 3) of readings and completion over aspecular angles, a line per incidence.
+def _colour_figure(made: Completion, angles: Array, read: Array) -> Figure | None:
+    """Draw CIELAB of the completion over aspecular angles, a line per incidence, beside that of readings (P, 3).
 
     None if they lie out of the plane.
     """
     incidences = np.round(angles[:, 0])
     in_plane = np.isfinite(angles[:, 3])
-    common = [i for i in np.unique(incidences[in_plane]) if np.sum(in_plane & (incidences == i)) > 1]
-    if not common:
+    known = np.unique(incidences[in_plane])
+    if not len(known):
         return None
     from manifold.pictures.figures import new_figure  # Matplotlib, which takes as long to load as all else
 
     figure = new_figure(8.5, 2.7)
     axes = figure.subplots(1, 3)
-    picked = evenly_spaced(len(common), _MOST_INCIDENCES)
-    for colour, incidence in zip(_COLOURS, np.array(common)[picked], strict=False):
-        own = np.flatnonzero(in_plane & (incidences == incidence))
-        own = own[np.argsort(angles[own, 3])]
+    shown = [read[in_plane]]
+    picked = evenly_spaced(len(known), _MOST_INCIDENCES)
+    for colour, incidence in zip(_COLOURS, known[picked], strict=False):
+        aspecular, lab, lightness = _along_plane(made, float(incidence))
+        shown.append(lab[np.abs(aspecular) > _HIGHLIGHT_DEG])
+        own = in_plane & (incidences == incidence)
+        axes[0].fill_between(aspecular, *lightness, color=colour, alpha=0.15, linewidth=0.0)
         for k, one in enumerate(axes):
-            one.plot(
-                angles[own, 3], found[own, k], color=colour, linewidth=1.4, label=f"incidence {incidence:g}°"
-            )
+            one.plot(aspecular, lab[:, k], color=colour, linewidth=1.4, label=f"incidence {incidence:g}°")
             one.plot(angles[own, 3], read[own, k], "o", color=colour, markersize=4)
-    for name, one in zip(("L*", "a*", "b*"), axes, strict=True):
+    of_all = np.vstack(shown)
+    for k, (name, one) in enumerate(zip(("L*", "a*", "b*"), axes, strict=True)):
+        low, high = float(of_all[:, k].min()), float(of_all[:, k].max())
+        margin = 0.1 * (high - low) + 2.0
+        one.set_ylim(low - margin, high + margin)
         one.set_title(name, fontsize=10)
         one.set_xlabel("aspecular angle (°)", fontsize=9)
         one.grid(alpha=0.25)
     axes[0].legend(fontsize=8)
     return figure
+
+
+def _along_plane(made: Completion, incidence_deg: float) -> tuple[Array, Array, tuple[Array, Array]]:
+    """Return aspecular angles (P,), every degree, CIELAB of the completion there (P, 3), and bounds of L*, (P,) each.
+
+    The bounds are those of `Completion.factors_at`.
+    """
+    outgoing = np.arange(-_GRAZING_DEG, _GRAZING_DEG + 1.0)
+    wo = from_spherical(np.deg2rad(outgoing), 0.0)
+    wi = np.broadcast_to(from_spherical(np.deg2rad(incidence_deg), np.pi), wo.shape)
+    brdf, nm = made.written or made.brdf, made.readings.wavelengths_nm
+    f, factors = np.maximum(brdf.eval(wi, wo), 0.0), made.factors_at(wi, wo)[:, None]
+    if nm is not None:
+        f = np.array([np.interp(nm, np.array(brdf.bands.wavelengths_nm), row) for row in f])
+    lab, low, high = (
+        lab_values(values, made.readings.bands, made.viewing) for values in (f, f / factors, f * factors)
+    )
+    return incidence_deg - outgoing, lab, (low[:, 0], high[:, 0])
 
 
 def _spectra_figure(readings: Readings, found: Array, angles: Array) -> Figure:
@@ -231,7 +292,10 @@ def _spectra_figure(readings: Readings, found: Array, angles: Array) -> Figure:
     nm = np.asarray(readings.wavelengths_nm)
     picked = evenly_spaced(len(readings), _MOST_SPECTRA)
     for colour, k in zip(_COLOURS, picked, strict=False):
-        label = f"{angles[k, 0]:.0f} / {angles[k, 1]:.0f}°, azimuth {angles[k, 2]:.0f}°"
+        label = f"incidence {angles[k, 0]:.0f}°, outgoing {angles[k, 1]:.0f}°"
+        label += (
+            f", azimuth {angles[k, 2]:.0f}°" if np.isnan(angles[k, 3]) else f", aspecular {angles[k, 3]:.0f}°"
+        )
         axes.plot(nm, np.pi * found[k], color=colour, linewidth=1.4, label=label)
         axes.plot(nm, np.pi * readings.values[k], "o", color=colour, markersize=3)
     axes.set_xlabel("wavelength (nm)", fontsize=9)
@@ -268,11 +332,14 @@ def flop_index(angles: Array, lab: Array) -> float | None:
 def gloss(brdf: BRDF, read: Mapping[float, float] = MappingProxyType({})) -> Section:
     """Return gloss units of a material, beside those that were read, by angle in degrees."""
     units_by_angle = gloss_units(brdf, GLOSS_ANGLES_DEG)
+    measured = {
+        angle: [f"{read[angle]:.3g}" if angle in read else "not read"] for angle in units_by_angle if read
+    }
     return Section(
         "Gloss (ISO 2813)",
-        heads=("angle", "measured", "of the BRDF"),
+        heads=("angle", *["measured"] * bool(read), "of the BRDF"),
         table=[
-            (f"{angle:g}", f"{read[angle]:.3g}" if angle in read else "", f"{units:.3g}")
+            (f"{angle:g}", *measured.get(angle, []), f"{units:.3g}")
             for angle, units in units_by_angle.items()
         ],
     )

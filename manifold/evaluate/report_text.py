@@ -167,7 +167,7 @@ def lead(report: Report) -> str:
     last = (
         "The model is not calibrated: it has no expected errors."
         if not expected
-        else f"For {percent(expected.below_twice)} of the materials the error is below twice the expected one."
+        else f"For {percent(expected.below_twice)} of the materials the ball error is below twice the expected one."
     )
     coherence = report.coherence.get(THIS_MODEL)
     between = (

@@ -28,7 +28,7 @@ from manifold.formats.column_heads import (
 from manifold.formats.csv_table import angles_deg, band_heads
 from manifold.formats.geometries import directions, exceed_radians
 from manifold.formats.quantities import BRDF, FACTORS, I_OVER_F, Quantity, quantity_in_prose
-from manifold.formats.readings import GONIOMETER, Readings
+from manifold.formats.readings import GONIOMETER, Assumption, Readings
 from manifold.formats.text import (
     MOST_ROWS,
     ErrorContext,
@@ -208,7 +208,7 @@ def _readings(
     if is_degrees is None:
         is_degrees = exceed_radians(angle)
         if is_degrees:
-            notes.append("angles beyond pi: taken as degrees")
+            notes.append(Assumption("angles beyond pi: taken as degrees"))
     if is_degrees:
         angle = {key: np.deg2rad(values) for key, values in angle.items()}
     if is_mini_diff:
@@ -239,9 +239,9 @@ def _readings(
     if is_mini_diff:
         weighed["weights"][np.abs(angle["theta_i"][keep]) > _STEEP_INCIDENCE] = _STEEP_WEIGHT
     if np.any(values < 0):
-        notes.append(
-            f"{int((values < 0).sum())} values are negative, down to {np.nanmin(values):.3g}: noise, kept"
-        )
+        count = int((values < 0).sum())
+        are = "value is" if count == 1 else "values are"
+        notes.append(f"{count} {are} negative, down to {np.nanmin(values):.3g}: noise, kept")
     return Readings(
         name, instrument, wi, wo, nm, values, notes=tuple(notes),
         assumed_unit=None if assumed is None else assumed.unit, **weighed,

@@ -8,15 +8,17 @@ SP.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
 from manifold.core.directions import from_spherical
+from manifold.core.names import counted
 from manifold.core.records import Array, Indices, Mask
 from manifold.formats.column_heads import PHASE, RELATIVE
-from manifold.formats.readings import aspecular_pair
+from manifold.formats.readings import Assumption, aspecular_pair
 from manifold.formats.text import ErrorContext
 
 _ROUNDING = 0.01  # radians
@@ -34,12 +36,18 @@ def exceed_radians(angles: Mapping[str, Array]) -> bool:
 
 
 def directions(
-    angles: Mapping[str, Array], context: ErrorContext, notes: list[str]
+    angles: Mapping[str, Array],
+    context: ErrorContext,
+    notes: list[str],
+    heads: Mapping[str, str] = MappingProxyType({}),
+    where: Callable[[int], str] | None = None,
 ) -> tuple[Mask, Array, Array]:
     """Return a mask of the rows of reflected light, bool (P,), and their wi and wo, (Q, 3).
 
     `angles` holds arrays (P,) in radians by `angle_name`, with theta_i and theta_o at least. Assumptions are added
     to the notes.
+
+    `heads` are the file's headings of the angles, and `where` describes a row, for notes and errors.
     """
     keep = np.ones(len(angles["theta_i"]), dtype=bool)
     for key in ("theta_i", "theta_o"):
@@ -47,8 +55,17 @@ def directions(
         if worst > np.pi + 1e-6:
             raise context.error(f"{key} reaches {np.rad2deg(worst):.4g} degrees, expected at most 90")
         keep &= np.abs(angles[key]) <= 0.5 * np.pi + 1e-4
-    if not np.all(keep):
-        notes.append(f"{int((~keep).sum())} rows of transmitted light (beyond 90 degrees) are left out")
+    is_alone = ~keep & (np.abs(angles["theta_o"]) <= 0.5 * np.pi + 1e-4)
+    if np.any(is_alone):
+        row = int(np.argmax(is_alone))
+        raise context.error(
+            f"incidence of {np.rad2deg(abs(angles['theta_i'][row])):.4g} degrees, expected at most 90",
+            f"row {row + 1} of the values" if where is None else where(row),
+            remedy="correct the angle",
+        )
+    if (left := int((~keep).sum())) > 0:
+        rows = f"{counted(left, 'row')} of transmitted light (beyond 90 degrees)"
+        notes.append(f"{rows} {'is' if left == 1 else 'are'} left out")
     if not np.any(keep):
         raise context.error("no rows of reflected light, expected theta below 90 degrees")
     phi_i, phi_o = angles.get("phi_i"), angles.get("phi_o")
@@ -58,10 +75,22 @@ def directions(
         if phi_i is not None or phi_o is not None:
             raise context.error("dphi beside phi_i or phi_o, expected either the difference or both azimuths")
         phi_i, phi_o = np.zeros(len(keep)), angles[RELATIVE]
-        notes.append("differences of azimuths: the mirror direction is taken at 180 degrees")
+        head = heads.get(RELATIVE)
+        between = (
+            f"azimuth '{head}', between the planes of light and eye" if head else "differences of azimuths"
+        )
+        notes.append(Assumption(f"{between}: the mirror direction is taken at 180 degrees"))
     elif phi_i is None:
         phi_i = np.full(len(keep), np.pi)
-        notes.append("no phi_i: the mirror direction is taken at phi_s = 0")
+        if phi_o is None:
+            notes.append(
+                Assumption("no azimuths: all directions are taken on the side of the mirror direction")
+            )
+        else:
+            seen = heads.get("phi_o", "phi_o")
+            notes.append(
+                Assumption(f"no azimuth of the light: the mirror direction is taken at {seen} = 0 degrees")
+            )
     elif phi_o is None:
         raise context.error("phi_i without phi_o, expected both azimuths")
     if phi_o is None:
@@ -93,7 +122,9 @@ def _with_relative_azimuth(
         cosine = np.divide(cosine, across, out=np.ones_like(across), where=across > _SMALL)
         angles = {**angles, RELATIVE: np.arccos(np.clip(cosine, -1.0, 1.0))}
         notes.append(
-            "azimuths follow from phase angles, of a sample that is symmetric about the plane of incidence"
+            Assumption(
+                "azimuths follow from phase angles, of a sample that is symmetric about the plane of incidence"
+            )
         )
     if np.any(off[keep] > _PHASE_ROUNDING):
         worst = int(np.argmax(np.where(keep, off, 0.0)))
@@ -222,7 +253,7 @@ def resolve(names: Iterable[str], context: ErrorContext, notes: list[str]) -> di
         )
     if alone:
         angles |= {name: (45.0, angle, 0.0) for name, angle in alone.items()}
-        notes.append("aspecular angles alone: the light is taken at 45 degrees")
+        notes.append(Assumption("aspecular angles alone: the light is taken at 45 degrees"))
     if any(found["kind"][0] in "dD" for name in angles if (found := _PATH.search("".join(name.split())))):
         notes.append("DP, means of two paths from either side: taken as one path, as for isotropic samples")
     return angles

@@ -26,7 +26,7 @@ from manifold.formats.bsdf_text import (
 )
 from manifold.formats.dense import DenseTable
 from manifold.formats.light_side import hidden
-from manifold.formats.readings import GONIOMETER, Readings
+from manifold.formats.readings import GONIOMETER, Assumption, Readings
 from manifold.formats.text import decode
 from manifold.formats.values import converted, linear_srgb_to_xyz, unnamed_band
 
@@ -184,7 +184,8 @@ def _incident_azimuth(
         return best
     in_usual_plane = peaks[90.0] + peaks[270.0] >= peaks[0.0] + peaks[180.0]
     taken = _USUAL_AZIMUTH if in_usual_plane else _USUAL_AZIMUTH + 90.0
-    notes.append(f"no highlight shows the mirror direction: incidence is taken at azimuth POI + {taken:g}")
+    unknown = "no highlight shows the mirror direction"
+    notes.append(Assumption(f"{unknown}: incidence is taken at azimuth POI + {taken:g}"))
     return taken
 
 

@@ -35,11 +35,13 @@ from manifold.formats.tables import (
     text_of,
 )
 from manifold.formats.text import ErrorContext, read_bytes
+from manifold.formats.values import TAKEN_AS_FACTORS
 from manifold.formats.workbook_pictures import SheetPicture, add_picture, pictures_in, read_part
 
 T = TypeVar("T")
 
 _REMEDY = "export the workbook again from the spectrophotometer's program"
+_UNNAMED = "multi-angle spectrophotometer (workbook)"
 _LARGEST_FILE = 200_000_000  # bytes; flake images make a real workbook a few megabytes
 _LARGEST_SHEETS = 12_000_000  # bytes unpacked: 500 samples in one workbook
 _MOST_PARTS = 5000
@@ -76,7 +78,7 @@ def read(path: Path) -> list[Readings]:
         )
         for table, columns in found
     ]
-    samples = in_one_unit(_named_apart(readings))
+    samples = [_in_its_unit(one, sheets, instrument) for one in in_one_unit(_named_apart(readings))]
     texture, notes = _texture(sheets, data, workbook, [sample.name for sample in samples])
     return [
         replace(
@@ -87,6 +89,13 @@ def read(path: Path) -> list[Readings]:
         )
         for sample in samples
     ]
+
+
+def _in_its_unit(readings: Readings, sheets: Mapping[str, list[list[Cell]]], instrument: str) -> Readings:
+    """Return readings without the note on factors as the assumed unit, if the layout is that of a known instrument."""
+    if instrument == _UNNAMED and not any(_titled(sheets, "spectral data")):
+        return readings
+    return replace(readings, notes=tuple(note for note in readings.notes if note != TAKEN_AS_FACTORS))
 
 
 def _tables(sheets: Mapping[str, list[list[Cell]]], context: ErrorContext) -> list[tuple[Table, Columns]]:
@@ -189,7 +198,7 @@ def _instrument(sheets: Mapping[str, list[list[Cell]]]) -> str:
                 text = str(cell or "")
                 if any(word in text.lower() for word in ("ma-t12", "mat12", "ma-t6", "ma9", "byk", "x-rite")):
                     return text.strip()[:60]
-    return "multi-angle spectrophotometer (workbook)"
+    return _UNNAMED
 
 
 def _titles(sheets: Mapping[str, list[list[Cell]]]) -> list[str]:

@@ -13,7 +13,7 @@ import numpy as np
 from manifold.core.directions import from_spherical
 from manifold.core.records import Array
 from manifold.formats.quantities import LEAST_COSINE, quantity_in_prose
-from manifold.formats.readings import GONIOMETER, Readings
+from manifold.formats.readings import GONIOMETER, Assumption, Readings
 from manifold.formats.text import (
     NUMBER,
     ErrorContext,
@@ -52,7 +52,9 @@ def read(path: Path) -> list[Readings]:
     if kind is None:
         raise context.error(f"format '{header['format'][:40]}', expected theta phi DSF or theta phi BSDF")
     table = _rows(lines, context)
-    notes = [] if "format" in header else ["no line #format: values are taken as BSDF in 1/sr"]
+    notes: list[str] = []
+    if "format" not in header:
+        notes.append(Assumption("no line #format: values are taken as BSDF in 1/sr"))
     theta, phi = np.deg2rad(table[:, 0]), np.deg2rad(table[:, 1])
     values = table[:, 2:]
     if theta_i > 90.0:  # lit from behind: the sample is turned over

@@ -6,7 +6,7 @@ a product of angles, are `manifold.formats.dense.DenseTable`; `DenseTable.readin
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -16,6 +16,7 @@ import numpy as np
 
 from manifold.core.directions import from_spherical, require_directions
 from manifold.core.errors import ShapeError, UsageError
+from manifold.core.names import counted
 from manifold.core.records import Array, Bands, Indices, Mask
 
 # Anchor leg and aspecular angle in degrees, in the instrument's order.
@@ -34,6 +35,9 @@ GONIOMETER = 0.03
 
 UNITS = {"brdf": 1.0, "factor": 1.0 / np.pi, "percent": 0.01 / np.pi}
 """Units of values in tables, in 1/sr: the BRDF, reflectance factors, and these in per cent."""
+
+NO_UNIT = "no unit given"
+"""How a note on an assumed unit begins."""
 
 _CONTRADICTION = 0.1  # scatter of repeated readings that is noted
 
@@ -61,6 +65,17 @@ class Viewing(NamedTuple):
 
 DAYLIGHT = Viewing()
 """Light and observer of linear sRGB."""
+
+
+class Assumption(str):
+    """A note on an assumed unit or geometry, or on doubtful values, which changes the result if it is wrong."""
+
+    __slots__ = ()
+
+
+def assumptions_first(notes: Iterable[str]) -> tuple[str, ...]:
+    """Return different notes, those that are an `Assumption` first."""
+    return tuple(sorted(dict.fromkeys(notes), key=lambda note: not isinstance(note, Assumption)))
 
 
 class Between(NamedTuple):
@@ -198,6 +213,11 @@ class Readings:
             scatter=self.scatter[pairs],
         )
 
+    @property
+    def unit_note(self) -> str | None:
+        """The note on the unit that was assumed; None if the file states it, or its format defines it."""
+        return next((note for note in self.notes if note.startswith(NO_UNIT)), None)
+
     def in_unit(self, unit: str) -> Readings:
         """Return the readings with their values in another unit than was assumed.
 
@@ -209,7 +229,7 @@ class Readings:
         if self.assumed_unit is None:
             raise UsageError(f"{self.name}: {self.instrument} states its unit; leave --unit {unit} out")
         values = self.values * (UNITS[unit] / UNITS[self.assumed_unit])
-        notes = tuple(note for note in self.notes if not note.startswith("no unit given"))
+        notes = tuple(note for note in self.notes if note != self.unit_note)
         return replace(self, values=values, notes=notes, assumed_unit=None)
 
     def seen_under(self, viewing: Viewing | None) -> Readings:
@@ -301,7 +321,8 @@ def mean_of_repeats(
     norm = np.maximum(np.nansum(of_pair**2, axis=1), np.finfo(float).tiny)
     scatter = np.sqrt(np.nansum(variance, axis=1) / norm)
     order = np.argsort(first)
-    note = f"{len(keys) - first.size} readings repeat a geometry: their means are taken"
+    count = len(keys) - first.size
+    note = f"{counted(count, 'reading')} {'repeats' if count == 1 else 'repeat'} a geometry: means are taken"
     if scatter.max() > _CONTRADICTION:
         note += f", but they contradict each other, by up to {100.0 * scatter.max():.0f} % in cube roots"
     return wi[first[order]], wo[first[order]], mean(values)[order], scatter[order], (note,)

@@ -10,10 +10,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import compress
 from typing import Any
 
 import numpy as np
 
+from manifold.core.names import first_few
 from manifold.core.records import Array, Mask
 from manifold.formats import column_heads
 from manifold.formats.column_heads import (
@@ -33,7 +35,14 @@ from manifold.formats.geometries import (
     resolve,
 )
 from manifold.formats.quantities import FACTORS, I_OVER_F, KNOWN, Quantity
-from manifold.formats.readings import DAYLIGHT, Readings, Viewing, gloss_fault, mean_of_repeats
+from manifold.formats.readings import (
+    DAYLIGHT,
+    Assumption,
+    Readings,
+    Viewing,
+    gloss_fault,
+    mean_of_repeats,
+)
 from manifold.formats.text import (
     CORRECT_CELL,
     ErrorContext,
@@ -54,6 +63,7 @@ from manifold.formats.values import (
     bands_of,
     lab_to_linear_srgb,
     relative_uncertainties,
+    too_bright_rows,
     weights_of,
 )
 
@@ -65,6 +75,7 @@ NEW_HEADER = f"give the table a header such as {HEADERS}"
 WEIGHT_HEAD, SCATTER_HEAD = "weight", "scatter of cube roots"
 """Heads of the columns of `Readings.weights` and `Readings.scatter`."""
 
+_NAMED_ROWS = 3  # in a note
 _HEADER_ROWS = 60  # a header stands at the top, below titles
 _CONDITION = re.compile(r"M[0-3]\b")
 _USUAL_VIEWING = Viewing("D65", 10)  # viewing of instruments for coatings, where heads name none
@@ -506,7 +517,7 @@ def read_table(
         notes.append(assumed.note)
     return [
         replace(
-            _readings(key, instrument, sample, pairs[key], columns, kind, white, notes, context),
+            _readings(key, instrument, table, sample, pairs[key], columns, kind, white, notes, context),
             assumed_unit=None if assumed is None else assumed.unit,
             viewing=columns.viewing or DAYLIGHT,
             is_viewing_assumed=columns.is_viewing_assumed,
@@ -609,7 +620,8 @@ def _angle_pairs(
     ]
     notes: list[str] = []
     angles = dict(zip(columns.angles, scale * np.array(cells).T, strict=True))
-    keep, wi, wo = directions(angles, context, notes)
+    heads = {angle: columns.heads[k] for angle, k in columns.angles.items()}
+    keep, wi, wo = directions(angles, context, notes, heads, lambda k: table.where(sample.rows[k]))
     return keep, wi, wo, notes
 
 
@@ -671,6 +683,7 @@ def _geometry_pairs(
 def _readings(
     name: str,
     instrument: str,
+    table: Table,
     sample: _Sample,
     pairs: _Pairs,
     columns: Columns,
@@ -685,6 +698,8 @@ def _readings(
     if not np.any(np.isfinite(raw)):
         raise context.error(f"sample '{name[:40]}' has no values, expected reflectance or f in 1/sr")
     values = as_brdf(raw, kind, wi, wo, notes if columns.geometry is None else [], white)
+    rows = [table.where(row) for row in compress(sample.rows, keep)]
+    notes += _doubtful(rows, wi, wo, values, is_spectral=channel(columns.band_heads[0]) is None)
     uncertain = dict(
         zip(
             (columns.heads[k] for k in columns.uncertainties),
@@ -710,9 +725,37 @@ def _readings(
             if head in own
         }
     if np.any(np.isnan(values)):
-        notes.append(f"{int(np.isnan(values).sum())} empty cells are not measured")
+        count = int(np.isnan(values).sum())
+        notes.append(
+            "1 empty cell is not measured" if count == 1 else f"{count} empty cells are not measured"
+        )
     gloss = {angle: float(np.mean(units)) for angle, units in sample.gloss.items()}
     return Readings(name, instrument, wi, wo, nm, values, notes=tuple(notes), gloss=gloss, **weighed)
+
+
+def _doubtful(rows: list[str], wi: Array, wo: Array, values: Array, *, is_spectral: bool) -> list[str]:
+    """Return notes on rows of values (P, B) in 1/sr that are negative, or too bright away from mirror directions.
+
+    Single channels of colours outside sRGB are negative.
+    """
+    notes = list[str]()
+    with np.errstate(invalid="ignore"):
+        is_negative = np.any(values < 0.0, axis=1) if is_spectral else np.mean(values, axis=1) < 0.0
+    if len(negative := np.flatnonzero(is_negative)):
+        named = first_few([rows[k] for k in negative], _NAMED_ROWS)
+        notes.append(Assumption(f"{named}: negative values, which count as 0"))
+    bright = too_bright_rows(wi, wo, values)
+    if len(bright):
+        named = first_few([rows[k] for k in bright], _NAMED_ROWS)
+        most = np.pi * float(values[bright].mean(axis=1).max())
+        up_to = "up to " if len(bright) > 1 else ""
+        notes.append(
+            Assumption(
+                f"{named}: {up_to}{most:.3g} times as bright as a perfect diffuser, away from the mirror direction; "
+                "check the values"
+            )
+        )
+    return notes
 
 
 def in_one_unit(found: Sequence[Readings]) -> list[Readings]:

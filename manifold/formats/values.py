@@ -8,26 +8,32 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from manifold.core.records import Array
+from manifold.core.records import Array, Indices, Mask
 from manifold.formats.column_heads import channel, is_percent, uncertainty_head, wavelength
 from manifold.formats.quantities import BRDF, FACTORS, Quantity
+from manifold.formats.readings import NO_UNIT, Assumption
 from manifold.formats.text import LENGTH_UNIT, ErrorContext, is_length_unit, wavelength_nm
 
 SHORTEST_NM, LONGEST_NM = 100.0, 1e5
 """The range of wavelengths; values beyond it have another unit."""
 
-_NO_UNIT = "no unit given (--unit brdf, factor or percent): "
-TAKEN_AS_BRDF = _NO_UNIT + "taken as BRDF in 1/sr"
-LOOKS_LIKE_FACTORS = (
-    TAKEN_AS_BRDF
-    + "; the few values away from the mirror direction look like reflectance factors, since as BRDF they "
-    "would reflect more light than they receive: give --unit factor if they are"
+_NO_UNIT = f"{NO_UNIT} (--unit brdf, factor or percent): "
+_AS_BRDF = _NO_UNIT + "taken as BRDF in 1/sr"
+TAKEN_AS_BRDF = Assumption(_AS_BRDF)
+LOOKS_LIKE_FACTORS = Assumption(
+    _AS_BRDF
+    + "; the only value away from the mirror direction looks like a reflectance factor, since as BRDF it "
+    "would reflect more light than it receives: give --unit factor if it is"
 )
-TAKEN_AS_FACTORS = _NO_UNIT + "taken as reflectance factors, 1 being the perfect diffuser"
-TAKEN_AS_PERCENT = _NO_UNIT + "values above 2 away from the mirror direction, or above 30, taken as percent"
+TAKEN_AS_FACTORS = Assumption(_NO_UNIT + "taken as reflectance factors, 1 being the perfect diffuser")
+TAKEN_AS_PERCENT = Assumption(
+    _NO_UNIT + "values above 2 away from the mirror direction, or above 30, taken as percent"
+)
 TOO_BRIGHT = _NO_UNIT + "as BRDF in 1/sr it would reflect more light than it receives: "
-_MOST_BRDF = 1.15  # median radiance factor away from the mirror direction: of 20 real materials at most 0.86
-_FEWEST = 5  # values that say so
+_MOST_BRDF = (
+    1.15  # radiance factor of a band away from the mirror direction: of 20 real materials at most 1.02
+)
+_FEW = 5  # values; of fewer all must be too bright, and at least two
 _PERCENT_FROM = 2.0  # reflectance factors away from the mirror direction are below this, percentages above
 _PERCENT_ANYWHERE = 30.0  # 15 degrees from it, where these instruments see most, even chrome stays below this
 
@@ -112,17 +118,22 @@ class Assumed(NamedTuple):
 def assumed_unit(raw: Sequence[tuple[Array, Array, Array]]) -> Assumed:
     """Choose the unit of values without one: BRDF in 1/sr, reflectance factors, or these in percent.
 
-    Values that would reflect more light than they receive are factors. If only few are that bright, they stay
-    a BRDF, with a note.
+    Values that would reflect more light than they receive in any band are factors. If a single value says so, they
+    stay a BRDF, with a note. Factors are in percent if their mean over bands is too bright as well, or one of their
+    bands by more than fluorescence explains.
 
     Each of several samples is wi (P, 3), wo (P, 3) and values (P, B) of one file.
     """
     if not any(is_too_bright(*of_sample) for of_sample in raw):
         few_say_so = any(is_too_bright(*of_sample, fewest=1) for of_sample in raw)
         return Assumed("brdf", BRDF, 1.0, LOOKS_LIKE_FACTORS if few_say_so else TAKEN_AS_BRDF)
-    if any(is_too_bright(wi, wo, values / np.pi) for wi, wo, values in raw):
-        return Assumed("percent", FACTORS, 100.0, TOO_BRIGHT + "taken as per cent")
-    return Assumed("factor", FACTORS, 1.0, TOO_BRIGHT + "taken as reflectance factors")
+    as_factors = [(wi, wo, values / np.pi) for wi, wo, values in raw]
+    if any(
+        is_too_bright(wi, wo, f, most=_PERCENT_FROM) or is_too_bright(wi, wo, f.mean(axis=1, keepdims=True))
+        for wi, wo, f in as_factors
+    ):
+        return Assumed("percent", FACTORS, 100.0, Assumption(TOO_BRIGHT + "taken as per cent"))
+    return Assumed("factor", FACTORS, 1.0, Assumption(TOO_BRIGHT + "taken as reflectance factors"))
 
 
 def assumed_factors(raw: Sequence[tuple[Array, Array, Array]]) -> Assumed:
@@ -232,18 +243,30 @@ def looks_like_percent(wi: Array, wo: Array, values: Array, most_factor: float =
     return bool(np.max(off, initial=0.0) > most_factor or np.max(np.nan_to_num(values)) > _PERCENT_ANYWHERE)
 
 
-def is_too_bright(wi: Array, wo: Array, values: Array, fewest: int = _FEWEST) -> bool:
-    """Return whether the median of values (P, B) in 1/sr is too large, away from mirror direction and horizon.
+def is_too_bright(wi: Array, wo: Array, values: Array, fewest: int = 2, most: float = _MOST_BRDF) -> bool:
+    """Return whether values (P, B) in 1/sr are too large in any band, away from mirror direction and horizon.
 
-    False if there are fewer than `fewest` such values.
+    The median of a band decides, or the smallest of fewer than five values. False if there are fewer than `fewest`.
     """
+    for band in values[_is_diffuse(wi, wo)].T:
+        seen = band[np.isfinite(band)]
+        if len(seen) >= fewest and np.pi * (np.median(seen) if len(seen) >= _FEW else seen.min()) > most:
+            return True
+    return False
+
+
+def too_bright_rows(wi: Array, wo: Array, values: Array) -> Indices:
+    """Return rows of values (P, B) in 1/sr whose mean over bands is too large there, if most rows are darker."""
+    with np.errstate(invalid="ignore"):
+        rows = np.flatnonzero(_is_diffuse(wi, wo) & (np.pi * np.mean(values, axis=1) > _MOST_BRDF))
+    return rows if 2 * len(rows) < len(values) else rows[:0]
+
+
+def _is_diffuse(wi: Array, wo: Array) -> Mask:
+    """Return a mask of direction pairs (P, 3) away from mirror direction and horizon."""
     mirror = np.einsum("pi,pi->p", wi * [-1.0, -1.0, 1.0], wo)
-    is_diffuse = (mirror < np.cos(np.deg2rad(40.0))) & (
-        np.minimum(wi[:, 2], wo[:, 2]) > np.cos(np.deg2rad(70.0))
-    )
-    seen = values[is_diffuse].mean(axis=1)
-    seen = seen[np.isfinite(seen)]
-    return bool(len(seen) >= fewest and np.pi * np.median(seen) > _MOST_BRDF)
+    is_seen = np.minimum(wi[:, 2], wo[:, 2]) > np.cos(np.deg2rad(70.0))
+    return np.asarray((mirror < np.cos(np.deg2rad(40.0))) & is_seen)
 
 
 def xyz_to_linear_srgb(xyz: Array) -> Array:
@@ -280,5 +303,5 @@ def unnamed_band(notes: list[str], context: ErrorContext, comments: Iterable[str
     if named is not None:
         notes.append(f"one band, its wavelength is taken from a comment: {named:g} nm")
         return np.array([named])
-    notes.append(f"one band without a wavelength: taken as {_UNNAMED_NM:g} nm")
+    notes.append(Assumption(f"one band without a wavelength: taken as {_UNNAMED_NM:g} nm"))
     return np.array([_UNNAMED_NM])

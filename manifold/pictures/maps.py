@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -158,8 +158,11 @@ def slices(
     *,
     kind: SliceKind = "angles",
     wavelengths_nm: Sequence[float] = (),
-) -> None:
-    """Draw slices (`angles`), the Rusinkiewicz plane (`image`) or `spectra` of a few BRDFs."""
+) -> dict[str, Any] | None:
+    """Draw slices (`angles`), the Rusinkiewicz plane (`image`) or `spectra` of a few BRDFs.
+
+    Return the drawn values, see `slice_figures.curves`; None for images.
+    """
     figures.require_writable(output)
     if kind == "angles":
         figure = slice_figures.angle_slices(drawn, wavelengths_nm)
@@ -168,3 +171,4 @@ def slices(
     else:
         figure = slice_figures.spectra_at(drawn)
     figures.save(figure, output)
+    return slice_figures.curves(kind, drawn, wavelengths_nm)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -48,7 +49,7 @@ def angle_slices(sources: Sequence[ShownBRDF], wavelengths_nm: Sequence[float] =
     where some are given.
     """
     _require_sources(sources)
-    rows = [f"{w:g} nm" for w in wavelengths_nm] or ["R", "G", "B"]
+    rows = _channel_names(wavelengths_nm)
     figure = new_figure(10, 1.2 + 2.3 * len(rows))
     grid = figure.subplots(len(rows), len(INCIDENCES_DEG), sharex=True, sharey="row", squeeze=False)
     draw_slices(figure, grid, sources, wavelengths_nm)
@@ -62,14 +63,13 @@ def draw_slices(
     wavelengths_nm: Sequence[float] = (),
 ) -> None:
     """Draw `angle_slices` into axes (rows, 3) of a figure, or of a part of one."""
-    rows = [f"{w:g} nm" for w in wavelengths_nm] or ["R", "G", "B"]
-    wo = _outgoing(_ELEVATIONS_DEG)
+    rows = _channel_names(wavelengths_nm)
+    for source, colour, style in zip(sources, _COLOURS, _STYLES, strict=False):
+        values = _slices_of(source.brdf, wavelengths_nm)
+        for column_of_axes, of_incidence in zip(grid.T, values, strict=True):
+            for axes, f in zip(column_of_axes, of_incidence.T, strict=True):
+                axes.plot(_ELEVATIONS_DEG, f, color=colour, linestyle=style, linewidth=1.6)
     for column, incidence in enumerate(INCIDENCES_DEG):
-        wi = from_spherical(np.deg2rad(incidence), 0.0)
-        for source, colour, style in zip(sources, _COLOURS, _STYLES, strict=False):
-            values = _channels(source.brdf, source.brdf.eval(wi, wo), wavelengths_nm)
-            for row, axes in enumerate(grid[:, column]):
-                axes.plot(_ELEVATIONS_DEG, values[:, row], color=colour, linestyle=style, linewidth=1.6)
         grid[0, column].set_title(f"incidence {incidence:g}°", fontsize=11)
         grid[-1, column].set_xlabel("outgoing angle (°)" + ", mirror side positive" * (column == 1))
     if any(np.isnan(line.get_ydata()).any() for each in grid for axes in each for line in axes.lines):
@@ -127,31 +127,80 @@ def rusinkiewicz_images(sources: Sequence[ShownBRDF]) -> Figure:
 
 
 def spectra_at(sources: Sequence[ShownBRDF]) -> Figure:
-    """Draw f over wavelength at four geometries in the plane of incidence; for RGB sources, over the channels."""
+    """Draw f over wavelength at four geometries in the plane of incidence; with RGB sources, over the channels.
+
+    Spectral sources beside RGB ones are converted to linear sRGB.
+    """
     _require_sources(sources)
-    bands = sources[0].brdf.bands
-    for source in sources[1:]:
-        bands.require_same(source.brdf.bands, source.label, "draw materials of one library")
+    is_rgb = any(source.brdf.bands.is_rgb for source in sources)
     figure = new_figure(10, 6)
     grid = figure.subplots(2, 2, sharex=True)
-    x = np.arange(3) if bands.is_rgb else np.asarray(bands.wavelengths_nm)
-    for axes, (theta_i, theta_o) in zip(grid.flat, GEOMETRIES_DEG, strict=True):
-        wi, wo = from_spherical(np.deg2rad(theta_i), 0.0), _outgoing(np.array(theta_o))
-        for source, colour, style in zip(sources, _COLOURS, _STYLES, strict=False):
-            f = source.brdf.eval(wi, wo)
-            marker = "o" if bands.is_rgb else None
+    marker = "o" if is_rgb else None
+    for source, colour, style in zip(sources, _COLOURS, _STYLES, strict=False):
+        x, spectra = _spectra_of(source.brdf, is_rgb=is_rgb)
+        for axes, f in zip(grid.flat, spectra, strict=True):
             axes.plot(x, f, color=colour, linestyle=style, linewidth=1.6, marker=marker)
+    for axes, (theta_i, theta_o) in zip(grid.flat, GEOMETRIES_DEG, strict=True):
         side = ", mirror direction" if theta_o == theta_i else ""
         axes.set_title(rf"$\theta_i$ = {theta_i:g}°, $\theta_o$ = {theta_o:g}°{side}", fontsize=11)
         axes.set_ylabel("$f$ (1/sr)")
         axes.set_ylim(bottom=0.0)
         axes.grid(alpha=0.25, linewidth=0.5)
-        if bands.is_rgb:
-            axes.set_xticks(x, ["R", "G", "B"])
+        if is_rgb:
+            axes.set_xticks(np.arange(3), ["R", "G", "B"])
     for axes in grid[-1]:
-        axes.set_xlabel("channel of linear sRGB" if bands.is_rgb else "wavelength (nm)")
+        axes.set_xlabel("channel of linear sRGB" if is_rgb else "wavelength (nm)")
     _legend(figure, grid[0, 0], sources)
     return figure
+
+
+def curves(
+    kind: str, sources: Sequence[ShownBRDF], wavelengths_nm: Sequence[float] = ()
+) -> dict[str, Any] | None:
+    """Return the values that `angle_slices` (kind `angles`) or `spectra_at` (`spectra`) draw; None for images.
+
+    `f` in 1/sr is by label: of angles in the order incidence, outgoing angle, channel; of spectra in the order
+    geometry, channel or wavelength, with the wavelengths by label, None for linear sRGB. Unmeasured values are NaN.
+    """
+    if kind == "image":
+        return None
+    if kind == "angles":
+        return {
+            "incidence_deg": INCIDENCES_DEG, "outgoing_deg": _ELEVATIONS_DEG,
+            "channels": _channel_names(wavelengths_nm),
+            "f": {source.label: _slices_of(source.brdf, wavelengths_nm) for source in sources},
+        }  # fmt: skip
+    is_rgb = any(source.brdf.bands.is_rgb for source in sources)
+    nm = {source.label: None if is_rgb else source.brdf.bands.wavelengths_nm for source in sources}
+    return {
+        "geometries_deg": GEOMETRIES_DEG,
+        "wavelengths_nm": nm,
+        "f": {source.label: _spectra_of(source.brdf, is_rgb=is_rgb)[1] for source in sources},
+    }
+
+
+def _channel_names(wavelengths_nm: Sequence[float]) -> list[str]:
+    return [f"{w:g} nm" for w in wavelengths_nm] or ["R", "G", "B"]
+
+
+def _slices_of(brdf: EvaluableBRDF, wavelengths_nm: Sequence[float]) -> Array:
+    """Return f at every incidence and outgoing angle in the drawn channels, shape (3, P, rows)."""
+    wo = _outgoing(_ELEVATIONS_DEG)
+    return np.array(
+        [
+            _channels(brdf, brdf.eval(from_spherical(np.deg2rad(incidence), 0.0), wo), wavelengths_nm)
+            for incidence in INCIDENCES_DEG
+        ]
+    )
+
+
+def _spectra_of(brdf: EvaluableBRDF, *, is_rgb: bool) -> tuple[Array, Array]:
+    """Return wavelengths or channels (B,) and f there at every geometry, (4, B)."""
+    theta_i, theta_o = np.array(GEOMETRIES_DEG).T
+    f = brdf.eval(from_spherical(np.deg2rad(theta_i), 0.0), _outgoing(theta_o))
+    if is_rgb:
+        return np.arange(3.0), to_srgb(f, brdf.bands)
+    return np.asarray(brdf.bands.wavelengths_nm), f
 
 
 def _require_sources(sources: Sequence[ShownBRDF]) -> None:

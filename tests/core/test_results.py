@@ -3,8 +3,10 @@
 from dataclasses import dataclass, field
 from functools import cached_property
 
+import numpy as np
 import pytest
 
+from manifold.core.records import plain
 from manifold.core.results import Result, derived, entry, placed
 
 
@@ -80,3 +82,16 @@ def test_entries_of_a_subclass_precede_those_of_its_base() -> None:
 def test_columns_are_placed_before_a_title() -> None:
     columns = placed(Measured.columns(), {"L": lambda content: content["lab"][0]}, before="gloss 20")
     assert list(columns) == ["gloss 60", "L", "gloss 20", "height", "count"]
+
+
+def test_numbers_and_texts_of_subclasses_become_plain_ones():
+    """JSON encoders of other programs know only the types themselves."""
+
+    class Note(str):
+        __slots__ = ()
+
+    assert [type(plain(value)) for value in (np.float64(2.5), np.float32(2.5), Note("a"))] == [
+        float,
+        float,
+        str,
+    ]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from helpers.chi_square import chi_square_p_value
 from helpers.readings import DIRECTIONS, readings
-from helpers.small_library import NAMES
+from helpers.small_library import NAMES, measured
 
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
@@ -22,15 +22,17 @@ from manifold.colour import panel
 from manifold.colour.conversion import luminance
 from manifold.colour.narrow_bands import SPECTRUM
 from manifold.core.directions import from_spherical
-from manifold.core.errors import BandMismatchError, LibraryError, UsageError
+from manifold.core.errors import BandMismatchError, LibraryError, UnknownNameError, UsageError
 from manifold.core.metrics import Errors, cube_root_error
 from manifold.core.records import Bands
 from manifold.estimate import Completion, calibrate, expected, suggest
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.channels import in_channels, srgb_responses
 from manifold.estimate.completions import _of_unit as of_unit
+from manifold.estimate.completions import advise
 from manifold.estimate.evidence import Evidence, for_library, in_all_bands
 from manifold.estimate.expected import Calibration, errors_of, leave_out, plausible_errors
+from manifold.estimate.left_out_readings import left_out_readings
 from manifold.estimate.mixtures import (
     COATED,
     LIKE_ONE,
@@ -767,3 +769,54 @@ def test_an_albedo_above_1_of_values_without_a_unit_asks_for_the_unit(unit, albe
     )
     notes = of_unit(read, plausibility)
     assert [("--unit factor" in note and "expected error" in note) for note in notes] == [True] * is_said
+
+
+@pytest.mark.parametrize(
+    ("fault", "unit", "begins"),
+    [
+        (None, None, "use it"),
+        (None, "a BRDF in 1/sr", "use it if the values are a BRDF in 1/sr"),
+        ("albedo 2.21; check the unit", "a BRDF in 1/sr", "do not use it: albedo 2.21"),
+    ],
+)
+def test_a_completion_in_doubt_is_not_simply_to_be_used(fault, unit, begins):
+    sure = Errors(ball=0.5, cube_root=0.05, near_mirror=0.05, elsewhere=0.05)
+    said = advise(sure, None, fault=fault, unit=unit)
+    assert said is not None
+    assert said.startswith(begins)
+    assert (said == "use it") == (fault is None and unit is None)
+
+
+def test_readings_darker_than_all_materials_ask_for_their_unit(atoms):
+    f = np.ones((len(DIRECTIONS[0]), 3))
+    dark, usual = (Completion.of(atoms, readings(scale * f)) for scale in (1e-9, 0.1))
+    assert dark.is_too_dark
+    assert "check their unit" in dark.notes[0]
+    assert not usual.is_too_dark
+
+
+def test_a_material_is_left_out_by_its_name_or_its_index_and_unknown_ones_are_refused(atoms):
+    by_name, by_index = atoms.without(NAMES[1]), atoms.without(1)
+    assert by_name.names == by_index.names == (NAMES[0], *NAMES[2:])
+    assert len(by_name) < len(atoms)
+    for unknown in ("chm_mint", len(NAMES), -1):
+        with pytest.raises(UnknownNameError, match=f"no material '?{unknown}"):
+            atoms.without(unknown)
+
+
+def test_a_left_out_reading_is_that_which_the_others_predict(atoms):
+    wi, wo = DIRECTIONS
+    brdf = MeasuredBRDF(measured("syn_felt_orange"))
+    read = readings(brdf.eval(wi, wo))
+    found = left_out_readings(Completion.of(atoms, read))
+    assert found is not None
+    others = Completion.of(atoms, read.select_pairs(np.arange(len(wi)) != 4))
+    f, f_star = read.values[4], others.brdf.eval(wi[[4]], wo[[4]])[0]
+    expected = np.linalg.norm(np.cbrt(f_star) - np.cbrt(f)) / np.linalg.norm(np.cbrt(f))
+    assert found.relative[4] == pytest.approx(expected, rel=1e-6)
+    assert found.relative.shape == found.ciede2000.shape == (len(wi),)
+
+
+def test_many_readings_or_one_are_not_left_out_in_turn(atoms):
+    one = readings(np.full((12, 3), 0.1)).select_pairs([0])
+    assert left_out_readings(Completion.of(atoms, one)) is None

@@ -9,9 +9,10 @@ from html import unescape
 import numpy as np
 import pytest
 from helpers.instrument_files import smooth
+from helpers.readings import readings
 
 from manifold.analytic.virtual_instruments import MA_T12_BANDS, ma_t12_readings
-from manifold.estimate import reports
+from manifold.estimate import Completion, reports
 from manifold.formats import csv_table
 from manifold.formats.readings import aspecular_pair, geometry_ma_t12
 from manifold.pictures import html_page
@@ -41,7 +42,7 @@ def test_the_report_of_a_completion_has_every_reading_with_its_difference(run, l
     write_table(tmp_path / "sample.csv", "a <b>paint</b> & more")
     status, _, err = run(
         "complete", "sample.csv", "-L", library, "-o", "made.bsdf", "--json", "made.json", "--report", "made.html",
-        cwd=tmp_path,
+        "--suggest", "2", cwd=tmp_path,
     )  # fmt: skip
     assert status == 0, err
     page = (tmp_path / "made.html").read_text()
@@ -49,8 +50,11 @@ def test_the_report_of_a_completion_has_every_reading_with_its_difference(run, l
     assert "sample.csv" in page
     assert "a &lt;b&gt;paint&lt;/b&gt; &amp; more" in page
     assert "<b>paint" not in page
-    of_readings = [row for row in rows(page) if len(row) == 11]
-    assert [row[-1] for row in of_readings] == [f"{off:.2f}" for off in known["misfits_ciede2000"]]
+    of_readings = [row for row in rows(page) if len(row) == 12]
+    assert [row[-2] for row in of_readings] == [f"{off:.2f}" for off in known["misfits_ciede2000"]]
+    assert [row[-1] for row in of_readings] == [
+        f"{off:.2f}" for off in known["left_out_readings"]["ciede2000"]
+    ]
     assert [float(row[4]) for row in of_readings] == pytest.approx(
         [lab[0] for lab in known["lab"][0]], abs=0.051
     )
@@ -60,9 +64,14 @@ def test_the_report_of_a_completion_has_every_reading_with_its_difference(run, l
     assert not re.search(r'(src|href)="(?!data:|#)', page)  # nothing lies beside it
     for note in known["diagnostics"]:
         assert note in unescape(page)
-    shown = {row[0]: (row[1], row[2]) for row in rows(page) if len(row) == 3 and row[0] in known["gloss"]}
-    assert shown == {angle: ("", f"{units['completed']:.3g}") for angle, units in known["gloss"].items()}
+    gloss = page.partition("Gloss (ISO 2813)")[2]
+    shown = {row[0]: row[1] for row in rows(gloss) if len(row) == 2 and row[0] in known["gloss"]}
+    assert shown == {angle: f"{units['completed']:.3g}" for angle, units in known["gloss"].items()}
     assert list(shown) == ["20", "60", "85"]
+    suggested = page.partition("Directions to measure next")[2]
+    assert [[float(cell) for cell in row] for row in rows(suggested)[:2]] == np.round(
+        known["suggested_deg"]
+    ).tolist()
 
 
 def test_a_batch_gives_a_report_each_and_a_page_that_leads_to_them(run, library, tmp_path):
@@ -126,3 +135,18 @@ def test_angles_are_those_of_the_instrument_and_the_flop_index_is_alman_s():
     assert reports.flop_index(angles[:1], lab[:1]) is None
     out_of_plane = reports.angles_of(*(w[None] for w in aspecular_pair(45.0, 60.0, 125.3)))
     assert np.isnan(out_of_plane[0, 3])
+
+
+def test_curves_over_angles_show_the_completion_between_the_readings(atoms):
+    made = Completion.of(atoms, readings(np.full((12, 3), 0.4 / np.pi)))
+    assert made.colours is not None
+    read, _ = made.colours
+    figure = reports._colour_figure(made, reports.angles_of(made.readings.wi, made.readings.wo), read)
+    assert figure is not None
+    of_15, dots, of_45, _ = figure.axes[0].lines
+    for line, incidence in ((of_15, 15.0), (of_45, 45.0)):
+        aspecular, lightness = line.get_data()
+        np.testing.assert_allclose(np.sort(aspecular), incidence + np.arange(-80.0, 81.0))
+        assert np.median(lightness) == pytest.approx(float(np.mean(read[:, 0])), abs=1.0)
+    assert len(dots.get_xdata()) == 6
+    assert len(figure.axes[0].collections) == 2  # bands

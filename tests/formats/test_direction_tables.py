@@ -15,7 +15,7 @@ from manifold.core.errors import FileFormatError, UsageError
 from manifold.core.records import Array, Bands
 from manifold.formats import fred, lighttools, openmaterial, registry, speos, utia
 from manifold.formats.column_heads import RELATIVE, angle_name, value_head, wavelength
-from manifold.formats.readings import UNITS
+from manifold.formats.readings import UNITS, Assumption, assumptions_first
 
 BLACK_LAB = REPOSITORY.parent / "shared" / "files" / "bsdf-tools" / "20250210_S7_sample_final.txt"
 BANDS = Bands((465.0, 525.0, 630.0))
@@ -250,11 +250,34 @@ def test_values_that_only_one_unit_makes_plausible_decide_it(head, factor, unit,
         assert any("reflect more light than it receives" in note for note in found.notes)
 
 
+RED = (0.046, 0.046, 0.13, 0.55, 0.61)
+"""Reflectance factors of a red paint, whose mean over bands is possible for a BRDF in 1/sr."""
+
+
+@pytest.mark.parametrize(("scale", "unit"), [(1.0, "factor"), (100.0, "percent"), (1.0 / np.pi, "brdf")])
+def test_one_band_that_reflects_too_much_decides_the_unit(scale, unit, tmp_path):
+    path = tmp_path / "red.csv"
+    pairs = [(45, 0, 0), (45, 20, 0), (30, 60, 180), (20, 50, 180)]
+    rows = [";".join(map(str, (*pair, *(scale * v for v in RED)))) for pair in pairs]
+    path.write_text("\n".join(["theta_i;theta_o;phi;400;480;560;640;700", *rows]) + "\n")
+    found = registry.read_readings(path)
+    assert found.assumed_unit == unit
+    np.testing.assert_allclose(found.values, np.tile(RED, (4, 1)) / np.pi)
+
+
+def test_a_fluorescent_band_above_1_is_not_percent(tmp_path):
+    """Fluorescent paints have reflectance factors up to about 1.8 in one band."""
+    path = tmp_path / "pink.csv"
+    rows = [f"45,{theta},180,0.2,0.2,1.6" for theta in (0, 20, 40, 60)]
+    path.write_text("\n".join(["theta_i,theta_o,phi_o,450,550,610", *rows]) + "\n")
+    assert registry.read_readings(path).assumed_unit == "factor"
+
+
 @pytest.mark.parametrize(("factor", "is_said"), [(0.8, True), (0.25, False)])
 def test_few_values_that_look_like_factors_stay_a_brdf_with_a_note(factor, is_said, tmp_path):
-    """Two of these directions are away from the mirror direction: too few to decide the unit."""
+    """One of these directions is away from the mirror direction: too few to decide the unit."""
     path = tmp_path / "few.csv"
-    pairs = [(45, 0), (45, 30), (45, 60), (15, 0), (60, 0)]
+    pairs = [(45, 0), (45, 30), (45, 60), (15, 0)]
     path.write_text(
         "theta_i,theta_o,R,G,B\n" + "".join(f"{i},{o}" + f",{factor}" * 3 + "\n" for i, o in pairs)
     )
@@ -262,7 +285,7 @@ def test_few_values_that_look_like_factors_stay_a_brdf_with_a_note(factor, is_sa
     assert found.assumed_unit == "brdf"
     np.testing.assert_allclose(found.values, factor)
     assert (
-        any("look like reflectance factors" in note and "--unit factor" in note for note in found.notes)
+        any("looks like a reflectance factor" in note and "--unit factor" in note for note in found.notes)
         == is_said
     )
     told = registry.read_readings(path, unit="factor")
@@ -393,6 +416,57 @@ def test_hidden_nodes_of_tables_are_no_readings(name, tmp_path):
     found = registry.read_readings(path)
     assert any("around the light are zero" in note for note in found.notes)
     assert np.min(found.values) > 0.0
+
+
+HEAD = "theta_i,theta_o,phi,value\n"
+
+
+def test_an_incidence_beyond_90_degrees_is_an_error_that_names_the_row(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text(HEAD + "45,0,0,0.1\n95,20,0,0.1\n30,10,180,0.1\n")
+    with pytest.raises(FileFormatError, match="row 3: incidence of 95 degrees, expected at most 90"):
+        registry.read_readings(path)
+
+
+def test_one_row_of_transmitted_light_is_noted_in_the_singular(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text(HEAD + "45,0,0,0.1\n45,100,0,0.1\n30,10,180,0.1\n")
+    notes = registry.read_readings(path).notes
+    assert "1 row of transmitted light (beyond 90 degrees) is left out" in notes
+
+
+def test_the_note_on_the_mirror_direction_has_the_heading_of_the_file(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text(HEAD + "45,0,0,0.1\n30,10,180,0.1\n")
+    found = registry.read_readings(path)
+    said = [note for note in found.notes if "mirror direction is taken at phi = 0 degrees" in note]
+    assert len(said) == 1
+    assert isinstance(said[0], Assumption)
+
+
+def test_rows_of_negative_values_are_named(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text(HEAD + "45,0,0,0.1\n45,20,0,-0.2\n30,10,180,-0.1\n20,50,180,0.1\n")
+    notes = registry.read_readings(path).notes
+    assert "row 3, row 4: negative values, which count as 0" in notes
+
+
+def test_a_row_far_brighter_than_a_diffuser_away_from_the_mirror_direction_is_named(tmp_path):
+    """Flakes make L* above 100 near the mirror direction, as in the second row."""
+    path = tmp_path / "lab.csv"
+    lightness = {"45as-15": 60, "45as15": 140, "45as25": 64, "45as45": 52, "45as75": 138, "45as110": 48}
+    path.write_text(
+        "Geometry,L* (D65/10),a* (D65/10),b* (D65/10)\n"
+        + "".join(f"{name},{L},1,1\n" for name, L in lightness.items())
+    )
+    said = [note for note in registry.read_readings(path).notes if "perfect diffuser" in note]
+    assert len(said) == 1
+    assert said[0].startswith("row 6: 2.34 times as bright")
+
+
+def test_notes_on_assumptions_come_first_once():
+    unit = Assumption("no unit given")
+    assert assumptions_first(["a", unit, "b", "a"]) == (unit, "a", "b")
 
 
 @pytest.mark.parametrize(("unit", "f"), [("brdf", 0.4), ("factor", 0.4 / np.pi), ("percent", 0.004 / np.pi)])

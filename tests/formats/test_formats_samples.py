@@ -130,4 +130,4 @@ def test_cxf_spectra_that_repeat_a_geometry_are_averaged(cxf, tmp_path):
     (tmp_path / "twice.cxf").write_text(doubled)
     found = registry.read_readings(tmp_path / "twice.cxf")
     np.testing.assert_allclose(found.values, 0.75 * SPECTRO.values, rtol=1e-6)
-    assert any("12 readings repeat a geometry: their means are taken" in note for note in found.notes)
+    assert any("12 readings repeat a geometry: means are taken" in note for note in found.notes)

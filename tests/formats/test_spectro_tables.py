@@ -430,3 +430,11 @@ def test_spectra_keep_the_light_and_observer_of_their_workbooks_colours(tmp_path
     book["Color Data"].append(["ILLUMINANT/OBSERVER:", "A/2"])
     book.save(path)
     assert registry.read_readings(path).viewing == Viewing("A", 2)
+
+
+def test_workbooks_of_the_instrument_need_no_unit_and_other_tables_name_the_assumed_one(tmp_path):
+    path, other = tmp_path / "sample.xlsx", tmp_path / "sample.csv"
+    write_ma_t12(path, smooth(MA_T12_BANDS), "smooth", np.random.default_rng(0))
+    other.write_text("Geometry,400,500,600\n45as15,0.3,0.3,0.3\n45as45,0.2,0.2,0.2\n")
+    assert registry.read_readings(path).unit_note is None
+    assert "taken as reflectance factors" in (registry.read_readings(other).unit_note or "")

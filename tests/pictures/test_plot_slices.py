@@ -14,7 +14,7 @@ from manifold.analytic.base import Lambert
 from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.core.directions import from_spherical
-from manifold.core.errors import BandMismatchError, UsageError
+from manifold.core.errors import UsageError
 from manifold.core.records import Bands
 from manifold.estimate.sources import FileSource, LibrarySource, PlaceSource
 from manifold.io_rgl import write_bsdf
@@ -25,6 +25,7 @@ from manifold.pictures.slice_figures import (
     INCIDENCES_DEG,
     ShownBRDF,
     angle_slices,
+    curves,
     rusinkiewicz_images,
     spectra_at,
 )
@@ -149,8 +150,26 @@ def test_what_cannot_be_drawn_is_refused(gloss):
         angle_slices([gloss], [500.0])
     with pytest.raises(UsageError, match="expected 450"):
         angle_slices([grey], [900.0])
-    with pytest.raises(BandMismatchError, match="one library"):
-        spectra_at([grey, gloss])
+
+
+def test_spectra_beside_rgb_are_drawn_in_its_channels(gloss):
+    grey = ShownBRDF("grey", Lambert(np.full(3, 0.3), BANDS))
+    for axes in spectra_at([grey, gloss]).axes:
+        x, f = axes.lines[0].get_data()
+        np.testing.assert_array_equal(x, [0, 1, 2])
+        np.testing.assert_allclose(f, 0.3 / np.pi, rtol=0.02)  # E to D65, in three bands
+
+
+def test_the_values_of_curves_are_those_that_are_drawn(gloss):
+    made = curves("angles", [gloss])
+    of_40 = made["f"]["gloss"][1, :, 0]
+    np.testing.assert_array_equal(of_40, angle_slices([gloss]).axes[1].lines[0].get_ydata())
+    assert made["outgoing_deg"][of_40.argmax()] == pytest.approx(40.0, abs=1.0)
+    grey = ShownBRDF("grey", Lambert(np.array([0.1, 0.2, 0.4]), BANDS))
+    made = curves("spectra", [grey])
+    assert made["wavelengths_nm"]["grey"] == BANDS.wavelengths_nm
+    np.testing.assert_allclose(made["f"]["grey"], np.tile([0.1, 0.2, 0.4], (4, 1)) / np.pi)
+    assert curves("image", [grey]) is None
 
 
 @pytest.mark.parametrize("kind", ["angles", "image", "spectra"])

@@ -1,0 +1,57 @@
+"""Readings predicted from the others of the same material, as a check of its completion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from manifold.colour.difference import delta_e_2000_lab, lab_values
+from manifold.core.records import Array
+from manifold.estimate.completion import Completion
+from manifold.estimate.residual import coordinates
+
+MOST_READINGS = 30
+"""Most readings that are left out in turn, at about 0.1 s each."""
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOutReadings:
+    """Errors of predicting each reading from the others.
+
+    Attributes:
+        relative: of cube roots over the bands of the reading, shape (P,).
+        ciede2000: under the light and observer of `Completion.viewing`, shape (P,); None where readings have no colour.
+    """
+
+    relative: Array
+    ciede2000: Array | None
+
+
+def left_out_readings(completion: Completion) -> LeftOutReadings | None:
+    """Predict each reading from the completion of the others.
+
+    None beside pictures, of a single reading, and of more than `MOST_READINGS`.
+    """
+    evidence = completion.evidence
+    if evidence.pictures or not 2 <= len(completion.readings) <= MOST_READINGS:
+        return None
+    readings, at, at_gloss = evidence.read
+    rows = []
+    for k in range(len(readings)):
+        others = np.arange(len(readings)) != k
+        rest = replace(evidence, readings=readings.select_pairs(others), at=(at[:, others], at_gloss))
+        solution = Completion.of(completion.atoms, rest).solution
+        assert solution.factors is not None
+        factors = solution.factors.at(coordinates(readings.wi[[k]], readings.wo[[k]]))
+        rows.append((solution.weights @ at[:, [k]] * factors).T[0] ** 3)
+    predicted = np.array(rows)
+    read = np.maximum(np.where(readings.measured, readings.values, predicted), 0.0)
+    roots, off = np.cbrt(read), np.cbrt(read) - np.cbrt(np.maximum(predicted, 0.0))
+    norm = np.maximum(np.linalg.norm(roots, axis=1), np.finfo(float).tiny)
+    if completion.colours is None:
+        return LeftOutReadings(np.linalg.norm(off, axis=1) / norm, None)
+    of_read, of_predicted = (
+        lab_values(values, readings.bands, completion.viewing) for values in (read, predicted)
+    )
+    return LeftOutReadings(np.linalg.norm(off, axis=1) / norm, delta_e_2000_lab(of_read, of_predicted))

@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 
 from manifold import __version__
 from manifold.analytic.ggx import GGX
-from manifold.analytic.microfacet import Plastic
+from manifold.analytic.microfacet import Plastic, RoughDielectric
 from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF, values_at
 from manifold.brdf.plausibility import Plausibility
@@ -449,15 +449,17 @@ def with_gloss(brdf: BRDF, gloss: Mapping[float, float]) -> RecoatedBRDF:
 def with_factor(brdf: BRDF, factor: Array, meter: Picture) -> RecoatedBRDF:
     """Return a material of another reflectance factor (B,) in a measurement of one sum, and its old surface.
 
-    What lies below the coat changes. The highlight changes in so far as it reflects more light than the coat, as a
-    metal's does, which has the metal's colour.
+    What lies below the coat changes. The highlight changes in so far as it reflects more light than any dielectric
+    coat, as a metal's does, which has the metal's colour.
     """
     bands = brdf.bands
     old, _ = coat_of(lab_of(brdf), gloss_units(brdf), bands)
-    (f, of_old), (inside, (surface, base)) = (
-        (np.maximum(values_at(brdf, m), 0.0), _parts(old, m.wi, m.wo)) for m in (meter, integrating_sphere())
+    sphere = integrating_sphere()
+    (f, of_old), (inside, (_, base)) = (
+        (np.maximum(values_at(brdf, m), 0.0), _parts(old, m.wi, m.wo)) for m in (meter, sphere)
     )
-    light = integrating_sphere().light
+    surface = RoughDielectric(old.ggx, np.array(_INDICES[1]), bands).eval(sphere.wi, sphere.wo)
+    light = sphere.light
     of_coat = np.minimum(
         light @ surface / np.maximum(light @ np.maximum(inside - base, 0.0), _LEAST_SURFACE), 1.0
     )

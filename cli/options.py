@@ -58,7 +58,11 @@ class ColourOptions:
 
     like: Annotated[
         str | None,
-        typer.Option(help="Take the reflectance of this material.", metavar="NAME", rich_help_panel=COLOUR),
+        typer.Option(
+            help="Take the reflectance of this material of the model, or of a .bsdf file.",
+            metavar="NAME|FILE",
+            rich_help_panel=COLOUR,
+        ),
     ] = None
     reflectance: Annotated[
         Path | None,

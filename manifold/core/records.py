@@ -98,6 +98,7 @@ class Bands:
 
 _ORIGINS = {
     "Predicted at": "predicted",
+    "Predicted from": "predicted",
     "Completed from": "completed",
     "A dielectric coat": "completed",
     "Found in": "completed",

@@ -45,6 +45,8 @@ LEAST_GLOSS = 0.01  # gloss units
 _GREY = 0.2
 _LEAST_REFLECTANCE = 1e-3  # so that black can be tinted
 _LIGHT, _NORMAL = from_spherical(np.pi / 4, 0.0), from_spherical(0.0, 0.0)
+COLOUR_GEOMETRY = _LIGHT, _NORMAL
+"""Directions of light and eye, (3,), in which colours are measured: 45/0."""
 GLOSS_TOLERANCE, COLOUR_TOLERANCE = 0.05, 1.0  # relative; CIEDE2000: beyond them something was not reached
 _JUST_VISIBLE = np.log(1.2)  # difference of log gloss: a fifth more, about as visible as a CIEDE2000 of 1
 
@@ -229,12 +231,12 @@ class Adjusted:
     """A material with attributes.
 
     Attributes:
-        place: where it is on the map, turned as the given one.
+        place: where it is on the map, turned as the given one; None of a material whose own values were edited.
         colours: its colours there, as `Manifold.predict` takes them.
         asked, reached: values by key of `ATTRIBUTES`, those of its colour among them.
     """
 
-    place: Place
+    place: Place | None
     colours: Array | None
     asked: Mapping[str, float]
     reached: Mapping[str, float]
@@ -243,7 +245,7 @@ class Adjusted:
     def difference(self) -> float:
         """CIEDE2000 between the colours asked for and reached."""
         asked, reached = (
-            _from_lch(np.array([values[each.key] for each in COLOUR]))
+            lab_of_lch(np.array([values[each.key] for each in COLOUR]))
             for values in (self.asked, self.reached)
         )
         return float(delta_e_2000_lab(asked, reached))
@@ -287,7 +289,7 @@ class Adjusted:
     def to_json(self) -> dict[str, Any]:
         """Return plain values."""
         known = {
-            "latent": None if self.place.is_step(self.colours) else self.place.latent,
+            "latent": None if self.place is None or self.place.is_step(self.colours) else self.place.latent,
             "asked": self._nested(self.asked),
             "reached": self._nested(self.reached),
             "ciede2000": self.difference,
@@ -331,7 +333,7 @@ def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: Colour
     present = model.predict(place, colours).turned(place.rotation_rad)
     asked = measured(present, ()) | attributes.values(present)
     if attributes.is_tinted:
-        lab = _from_lch(np.array([asked[each.key] for each in COLOUR]))
+        lab = lab_of_lch(np.array([asked[each.key] for each in COLOUR]))
         colours = _colours_at(model, place, tinted(factor_of(present), lab, model.bands))
     reached = model.predict(place, colours).turned(place.rotation_rad)
     return Adjusted(place, colours, asked, measured(reached, asked))
@@ -389,7 +391,8 @@ def _to_lch(lab: Array) -> Array:
     return np.array([lab[0], np.hypot(lab[1], lab[2]), np.rad2deg(np.arctan2(lab[2], lab[1])) % 360.0])
 
 
-def _from_lch(lch: Array) -> Array:
+def lab_of_lch(lch: Array) -> Array:
+    """Return CIELAB (3,) of lightness, chroma, and hue in degrees."""
     hue = np.deg2rad(lch[2])
     return np.array([lch[0], lch[1] * np.cos(hue), lch[1] * np.sin(hue)])
 

@@ -18,12 +18,13 @@ from scipy.optimize import least_squares
 
 from manifold import __version__
 from manifold.analytic.ggx import GGX
-from manifold.analytic.microfacet import Plastic
+from manifold.analytic.microfacet import Plastic, RoughDielectric
 from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF, values_at
 from manifold.brdf.plausibility import Plausibility
 from manifold.brdf.wrapper import WrappedBRDF
 from manifold.colour import panel
+from manifold.colour.ball_colours import Picture
 from manifold.colour.conversion import luminance
 from manifold.colour.difference import delta_e_2000_lab
 from manifold.core import disk
@@ -55,6 +56,7 @@ from manifold.formats.column_heads import gloss_angle
 from manifold.formats.readings import DAYLIGHT, Viewing, gloss_fault
 from manifold.formats.text import CORRECT_CELL, data_lines, decode, list_rows, number, with_whole_name
 from manifold.library.store import Library
+from manifold.model.decoding import integrating_sphere
 from manifold.model.output_file import COMPLETION_OPTIONS, OutputOptions, require_bsdf_output, write_checked
 
 _INDEX = 1.5  # refractive index of most varnishes and plastics
@@ -366,15 +368,20 @@ def _number(path: Path, line: int, cell: str) -> float:
 class RecoatedBRDF(WrappedBRDF):
     """A BRDF whose coat is exchanged for another, see `exchanged`."""
 
-    def __init__(self, brdf: BRDF, old: Plastic, new: Plastic, strength: Array):
-        """Exchange coats over a Lambertian; the highlight is `strength` (B,) times the old coat's."""
+    def __init__(self, brdf: BRDF, old: Plastic, new: Plastic, strength: Array, tint: Array | float = 1.0):
+        """Exchange coats over a Lambertian; the highlight is `strength` (B,) times the old coat's.
+
+        `tint` (B,) multiplies the highlight.
+        """
         super().__init__(brdf)
-        self._old, self._new, self._strength = old, new, strength
+        self._old, self._new, self._strength, self._tint = old, new, strength, tint
 
     def eval(self, wi: Array, wo: Array) -> Array:
         """Return f in 1/sr, shape (..., B)."""
         f = np.maximum(self._brdf.eval(wi, wo), 0.0)
-        return exchanged(f, _parts(self._old, wi, wo), _parts(self._new, wi, wo), self._strength)
+        parts = [_parts(coat, wi, wo) for coat in (self._old, self._new)]
+        above, share = _highlight(f, parts[0], parts[1][0], self._strength)
+        return np.asarray(self._tint * above + share * parts[1][1])
 
 
 def _parts(coat: Plastic, wi: Array, wo: Array) -> tuple[Array, Array]:
@@ -436,6 +443,30 @@ def with_gloss(brdf: BRDF, gloss: Mapping[float, float]) -> RecoatedBRDF:
 
     new, _ = nearest_coat(below, bands, off, float(np.mean(old.eta)))
     return RecoatedBRDF(brdf, old, new, strength)
+
+
+def with_factor(brdf: BRDF, factor: Array, meter: Picture) -> RecoatedBRDF:
+    """Return a material of another reflectance factor (B,) in a measurement of one sum, and its old surface.
+
+    What lies below the coat changes. The highlight changes in so far as it reflects more light than any dielectric
+    coat, as a metal's does, which has the metal's colour.
+    """
+    bands = brdf.bands
+    old, _ = coat_of(lab_of(brdf), gloss_units(brdf), bands)
+    sphere = integrating_sphere()
+    (f, of_old), (inside, (_, base)) = (
+        (np.maximum(values_at(brdf, m), 0.0), _parts(old, m.wi, m.wo)) for m in (meter, sphere)
+    )
+    surface = RoughDielectric(old.ggx, np.array(_INDICES[1]), bands).eval(sphere.wi, sphere.wo)
+    light = sphere.light
+    of_coat = np.minimum(light @ surface / np.maximum(light @ np.maximum(inside - base, 0.0), TINY), 1.0)
+    tint = of_coat + (1.0 - of_coat) * factor / np.maximum(meter.of(f)[0], TINY)
+    white = Plastic(old.ggx, old.eta, np.ones(bands.count), bands)
+    above, share = _highlight(f, of_old, of_old[0], np.ones(bands.count))
+    of_white = meter.of(share * _parts(white, meter.wi, meter.wo)[1])[0]
+    base = (factor - meter.of(tint * above)[0]) / np.maximum(of_white, TINY)
+    new = Plastic(old.ggx, old.eta, np.clip(base, 0.0, 1.0), bands)
+    return RecoatedBRDF(brdf, old, new, np.ones(bands.count), tint)
 
 
 def _factors(coat: Plastic) -> tuple[Array, Array]:

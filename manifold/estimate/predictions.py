@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from manifold import __version__
 from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.plausibility import mirror_difference
-from manifold.estimate.sources import MaterialSource, place_of
-from manifold.model.colours import NEAREST, ChosenColour, ColourChoice
-from manifold.model.diagnostics import DiagnosedPrediction, diagnose
+from manifold.brdf.plausibility import mirror_difference, plausibility_of_file
+from manifold.brdf.unmeasured_cells import fill_unmeasured, unmeasured_cells, unmeasured_share
+from manifold.core.records import BsdfFile
+from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource, place_of, read_measured
+from manifold.io_rgl import material_name, write_bsdf
+from manifold.model.colours import NEAREST, UNCHOSEN, ChosenColour, ColourChoice
+from manifold.model.comparison import brdf_errors
+from manifold.model.diagnostics import DiagnosedPrediction, diagnose, diagnose_file
 from manifold.model.manifold import Manifold, load_model
 from manifold.model.output_file import (
     DEFAULT_OPTIONS,
+    FINE_OPTIONS,
     OutputOptions,
+    WrittenFile,
     require_bsdf_output,
     write_checked,
 )
@@ -27,7 +31,7 @@ from manifold.model.places import Place, PlaceLike
 from manifold.model.prediction import ClippedBRDF
 
 if TYPE_CHECKING:
-    from manifold.estimate.attributes import Attributes
+    from manifold.estimate.attributes import Adjusted, Attributes
 
 _RECOATED = "the coat was changed to reach the gloss; the expected error is that before this change"
 
@@ -44,9 +48,12 @@ def predict(
 ) -> DiagnosedPrediction:
     """Predict the material at a latent and write it as an RGL file.
 
+    A file keeps its own values, and so does a step of a walk: colour and gloss change them without the map. Without
+    these it is written as it is; else on grids at least as fine as `FINE_OPTIONS`.
+
     Args:
         model: a fitted manifold, or the path of one.
-        latent: Q coordinates, another place, or a material, which is located.
+        latent: Q coordinates, another place, or a material; one of the model lies on the map.
         output: the file to write; its name becomes the material's.
         library: where the model's library is now, if not where the model remembers it.
         colour: another than that of the place.
@@ -61,55 +68,60 @@ def predict(
     output = Path(output)
     require_bsdf_output(output)
     model = load_model(model, library)
-    place = place_of(latent, model)
-    if colour != NEAREST or place.walk is not None:
-        model.prepare()
-    if attributes is None:
-        adjusted, chosen = None, model.choose_colour(place, colour)
+    if isinstance(latent, FileSource) or (
+        isinstance(latent, LibrarySource) and latent.name not in model.names
+    ):
+        made = _of_file(model, latent, colour, attributes)
+        is_as_it_is = options == DEFAULT_OPTIONS
+        options = replace(
+            options,
+            resolution=max(options.resolution, FINE_OPTIONS.resolution),
+            incidences=max(options.incidences, FINE_OPTIONS.incidences),
+        )
     else:
-        from manifold.estimate.attributes import adjust, by_angle  # which load optimisers
-
-        on_map, of_coat = attributes.split()
-        adjusted = adjust(model, place, on_map, colour)
-        place, chosen = adjusted.place, ChosenColour(adjusted.colours, str(adjusted), 0.0)
-    brdf: BRDF = model.predict(place, chosen.colours).turned(place.rotation_rad)
-    if adjusted is not None and of_coat:
-        from manifold.estimate.coat import with_gloss
-
-        units = of_coat.values(brdf)
-        brdf = with_gloss(brdf, by_angle(units))
-        adjusted = adjusted.reached_by(brdf, units)
-        chosen = replace(chosen, words=str(adjusted))
+        made = _of_place(model, place_of(latent, model), colour, attributes)
+        is_as_it_is = False
+    place, brdf, chosen, adjusted = made.place, made.brdf, made.chosen, made.adjusted
     if adjusted is not None:
         adjusted.warn()
     start = time.perf_counter()
     clipped = ClippedBRDF(brdf)
-    description = _describe(model, place, chosen, options.physical)
+    description = _describe(model, made, options.physical)
     remedy = "make it physical, write more incidences"
-    of_place = model.expected_error(place, chosen.colours)
-    written = write_checked(
-        output, clipped, options, description=description, remedy=remedy,
-        expected_error=None if of_place is None else of_place.cube_root,
-    )  # fmt: skip
+    of_place = None if place is None or made.own else model.expected_error(place, chosen.colours)
+    if is_as_it_is and made.file is not None and brdf is made.before:
+        file = replace(made.file, name=material_name(output))
+        write_bsdf(output, file)
+        written = WrittenFile(plausibility_of_file(file), file)
+    else:
+        written = write_checked(
+            output, clipped, options, description=description, remedy=remedy,
+            expected_error=None if of_place is None else of_place.cube_root,
+        )  # fmt: skip
     assert written.file is not None  # a refusal is an error
-    difference = mirror_difference(brdf, MeasuredBRDF(written.file))
+    read_back = MeasuredBRDF(fill_unmeasured(written.file))
+    difference = mirror_difference(brdf, read_back)
     seconds = time.perf_counter() - start
-    prediction = diagnose(model, place, brdf, chosen, written.plausibility, clipped.clipped_share)
-    if prediction.expected is not None:
-        prediction = replace(prediction, expected=written.expected(prediction.expected))
-    turned = f"turned by {np.rad2deg(place.rotation_rad):.1f} degrees, as the sample lay"
-    prediction = replace(
-        prediction,
-        diagnostics=prediction.diagnostics + written.projection + (turned,) * bool(place.rotation_rad),
-    )
-    if adjusted is not None:
+    found = written.plausibility, clipped.clipped_share
+    if place is None:
+        prediction = diagnose_file(made.own, brdf, chosen, *found, made.unmeasured)
+    else:
+        prediction = diagnose(model, place, brdf, chosen, *found)
+    if made.own:
         prediction = replace(
-            prediction,
-            diagnostics=prediction.diagnostics + adjusted.shortfalls + (_RECOATED,) * bool(of_coat),
-            attributes=adjusted.to_json(),
-        )
+            prediction, own=made.own, change=brdf_errors(made.before, read_back), expected=None,
+            expected_in_chosen_colour=None,
+        )  # fmt: skip
+    elif prediction.expected is not None:
+        prediction = replace(prediction, expected=written.expected(prediction.expected))
+    notes = prediction.diagnostics + written.projection
+    if adjusted is not None:
+        recoated = made.is_recoated and not made.own
+        notes = (*adjusted.shortfalls, *notes, *(_RECOATED,) * recoated)
+        prediction = replace(prediction, attributes=adjusted.to_json())
     return replace(
         prediction,
+        diagnostics=notes,
         path=output,
         is_physical=options.physical,
         clipped_share=clipped.clipped_share,
@@ -118,13 +130,99 @@ def predict(
     )
 
 
-def _describe(model: Manifold, place: Place, chosen: ChosenColour, physical: bool) -> str:
+@dataclass(frozen=True, eq=False)
+class _Made:
+    """A material before it is written.
+
+    Attributes:
+        place: None of a file, which keeps its own values.
+        before: the material before its attributes were changed.
+        own: of edited values, and of a file's, the name of what they are from; empty where the map predicts.
+        file: the file, if it is one.
+        unmeasured: share of a file's cells that were not measured.
+    """
+
+    place: Place | None
+    brdf: BRDF
+    before: BRDF
+    chosen: ChosenColour
+    adjusted: Adjusted | None = None
+    is_recoated: bool = False
+    own: str = ""
+    file: BsdfFile | None = None
+    unmeasured: float = 0.0
+
+    def with_attributes(self, of_colour: Attributes | None, of_coat: Attributes) -> _Made:
+        """Edit the own values: the colour unless it was changed on the map, and the coat."""
+        from manifold.estimate.attributes import by_angle  # which load optimisers
+        from manifold.estimate.coat import with_gloss
+        from manifold.estimate.edits import own_values
+
+        brdf, adjusted = self.brdf, self.adjusted
+        if of_colour is not None:
+            brdf, adjusted = own_values(brdf, of_colour)
+        assert adjusted is not None
+        if of_coat:
+            units = of_coat.values(brdf)
+            brdf = with_gloss(brdf, by_angle(units))
+            adjusted = adjusted.reached_by(brdf, units)
+        chosen = replace(self.chosen, words=str(adjusted))
+        return replace(self, brdf=brdf, adjusted=adjusted, chosen=chosen, is_recoated=bool(of_coat))
+
+
+def _of_file(
+    model: Manifold, source: FileSource | LibrarySource, colour: ColourChoice, attributes: Attributes | None
+) -> _Made:
+    """Return the values of a file, with another colour and gloss if asked for."""
+    file = read_measured(source)
+    cells = unmeasured_cells(file)
+    before: BRDF = MeasuredBRDF(fill_unmeasured(file, cells))
+    made = _Made(
+        None, before, before, UNCHOSEN, own=str(source), file=file, unmeasured=unmeasured_share(file, cells)
+    )
+    if colour != NEAREST:
+        from manifold.estimate.edits import in_colour
+
+        brdf, words, residual = in_colour(model, before, colour)
+        made = replace(made, brdf=brdf, chosen=ChosenColour(None, words, residual))
+    return made if attributes is None else made.with_attributes(*attributes.split())
+
+
+def _of_place(model: Manifold, place: Place, colour: ColourChoice, attributes: Attributes | None) -> _Made:
+    """Return the prediction at a place, with another colour and gloss if asked for."""
+    if colour != NEAREST or place.walk is not None:
+        model.prepare()
+    chosen = model.choose_colour(place, colour)
+    brdf: BRDF = model.predict(place, chosen.colours).turned(place.rotation_rad)
+    made = _Made(place, brdf, brdf, chosen)
+    if attributes is None:
+        return made
+    on_map, of_coat = attributes.split()
+    if place.is_step(chosen.colours):
+        return replace(made, own=f"the step {place.walk_in_words}").with_attributes(on_map, of_coat)
+    from manifold.estimate.attributes import adjust
+
+    adjusted = adjust(model, place, on_map, colour)
+    assert adjusted.place is not None
+    of_material = model.space.training_index(place.latent, chosen.colours)
+    if of_coat and not on_map and of_material is not None:
+        made = replace(made, own=model.names[of_material])
+    chosen = ChosenColour(adjusted.colours, str(adjusted), 0.0)
+    brdf = model.predict(adjusted.place, chosen.colours).turned(place.rotation_rad)
+    made = replace(made, place=adjusted.place, brdf=brdf, chosen=chosen, adjusted=adjusted)
+    return made.with_attributes(None, of_coat)
+
+
+def _describe(model: Manifold, made: _Made, physical: bool) -> str:
     """Return the description in a predicted file."""
+    place, chosen = made.place, made.chosen
     origin = (
         "a synthetic corpus" if model.materials.is_synthetic else f"{len(model.names)} measured materials"
     )
+    how = (f", colour {chosen.words}" if chosen.words else "") + ", projected to be physical" * physical
+    if place is None:
+        return f"Predicted from {made.own}{how}{',' * bool(how)} by manifold {__version__}"
     at = f"at latent ({', '.join(model.space.printed(place.latent))})"
     if place.is_step(chosen.colours):
         at = f"at a step {place.walk_in_words}"
-    how = (f", colour {chosen.words}" if chosen.words else "") + ", projected to be physical" * physical
     return f"Predicted {at}{how}{',' * bool(how)} from {origin} by manifold {__version__}"

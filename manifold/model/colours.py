@@ -10,10 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from manifold.brdf.measured import MeasuredBRDF, values_at
+from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour.reflectances import ReflectanceSpectrum, read_reflectance, srgb_reflectance
 from manifold.core.errors import ShapeError, UsageError
 from manifold.core.records import Array, Bands
 from manifold.gp.encoding import Decoder
+from manifold.io_rgl import read_bsdf
 from manifold.library.identity import file_sha256
 from manifold.model.blend_space import BlendSpace
 from manifold.model.decoding import decoder_at, integrating_sphere
@@ -28,7 +31,7 @@ class ColourChoice:
     """The colour that a user chooses; without a choice see `NEAREST`.
 
     Attributes:
-        like: name of a material of the model.
+        like: name of a material of the model, or the path of a `.bsdf` file.
         reflectance: a spectrum, or a text file of wavelengths in nm and reflectances.
         srgb: `#rrggbb`, or three display values from 0 to 1 with commas between.
     """
@@ -42,26 +45,36 @@ class ColourChoice:
         if len(given) > 1:
             raise UsageError(f"found {' and '.join(given)}, expected one of them; a material has one colour")
 
+    @property
+    def is_like_file(self) -> bool:
+        """Return whether the colour is that of a file's material."""
+        return self.like is not None and self.like.endswith(".bsdf")
+
     def made_of(self) -> dict[str, Any]:
         """Return all that the colour depends on as plain values; for a file its content.
 
         Raises:
             UsageError: the file cannot be read.
         """
-        spectrum = self.reflectance
+        spectrum, like = self.reflectance, self.like
+        if self.is_like_file:
+            like = _content_of(Path(str(like)))
         if isinstance(spectrum, Path):
-            try:
-                known: Any = file_sha256(spectrum)
-            except OSError as error:
-                raise UsageError(f"{spectrum}: {error.strerror}, expected a reflectance file") from error
+            known: Any = _content_of(spectrum)
         elif spectrum is not None:
             known = [list(map(float, numbers)) for numbers in (spectrum.wavelengths_nm, spectrum.values)]
         else:
             known = None
-        return {"like": self.like, "reflectance": known, "srgb": self.srgb}
+        return {"like": like, "reflectance": known, "srgb": self.srgb}
 
     def asked(self, bands: Bands) -> tuple[Array, str]:
         """Return the chosen reflectance in some bands, shape (B,), and its origin in words."""
+        if self.is_like_file:
+            file = read_bsdf(Path(str(self.like)))
+            bands.require_same(file.bands, str(self.like), "resample it, or use its own library")
+            sphere = integrating_sphere()
+            factor = sphere.of(values_at(MeasuredBRDF(fill_unmeasured(file)), sphere))[0]
+            return np.clip(factor, 0.0, 1.0), f"like {self.like}"
         if self.srgb is not None:
             return srgb_reflectance(parse_srgb(self.srgb), bands), f"sRGB {self.srgb}"
         given = self.reflectance
@@ -72,6 +85,13 @@ class ColourChoice:
             else read_reflectance(given, bands)
         )
         return spectrum, f"by {given.name}"
+
+
+def _content_of(path: Path) -> str:
+    try:
+        return file_sha256(path)
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror}, expected a reflectance file") from error
 
 
 NEAREST = ColourChoice()

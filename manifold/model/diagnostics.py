@@ -27,6 +27,10 @@ if TYPE_CHECKING:
 AT_A_MATERIAL = "none, because a measured material lies there"
 """Words for the expected error at a material."""
 
+_LEFT_WALK = (
+    "not the step of the walk, but the prediction on the line between both materials on the map, in the chosen colour; "
+    "--lightness, --chroma and --hue change the colour of the step itself"
+)
 _SHOWN_WEIGHT = 0.005  # smallest weight that is printed, with two decimals
 MOST_NEGATIVE = 0.005  # share of values, above which a prediction is diagnosed; one in a hundred is seen
 MOST_ALBEDO = 1.05  # measured materials reach a little above 1 too
@@ -46,6 +50,8 @@ class DiagnosedPrediction(Result):
         latent: shape (Q,); None of a step of a walk, which no latent makes.
         coordinates: the same, with the digits that reproduce the prediction.
         walk: of a step of a walk, its two materials and t, in words; else None.
+        own: the file, step or material whose own values these are, edited or not; None where the map predicts.
+        change: errors of the written file with respect to `own`; None likewise.
         colour: where the colour comes from, in words; None where the latent fixes it.
         reflectance_residual: largest difference over bands between the requested reflectance and the one reached.
         weights: the materials with the largest weights, by magnitude, in this colour; none of a step of a walk, which
@@ -71,6 +77,13 @@ class DiagnosedPrediction(Result):
     """
 
     brdf: BRDF
+    change: Errors[float] | None = field(
+        default=None,
+        metadata=entry(
+            row="difference", words=lambda result: f"{result.change.ball:.1f} {BALL}, from {result.own}"
+        ),
+    )
+    own: str | None = field(default=None, metadata=entry())
     latent: Array | None = field(metadata=entry())
     coordinates: tuple[str, ...] = field(metadata=entry())
     walk: str | None = field(metadata=entry())
@@ -79,10 +92,17 @@ class DiagnosedPrediction(Result):
     weights: list[tuple[str, float]] = field(metadata=entry())
 
     @property
+    def is_file(self) -> bool:
+        """Whether the values are those of a file, which has no place on the map here."""
+        return self.latent is None and self.walk is None
+
+    @property
     @derived(row="place", json=False)
     def place_in_words(self) -> str:
         """The place, and where the colour comes from."""
         place = f"{self.walk}, a step of a walk" if self.walk is not None else ",".join(self.coordinates)
+        if self.is_file:
+            place = f"{self.own}, by its own values (`manifold locate` finds its place on the map)"
         return place if self.colour is None else f"{place}; colour {self.colour}"
 
     @property
@@ -91,6 +111,9 @@ class DiagnosedPrediction(Result):
         """Expected errors of the prediction in its colour, or why there are none."""
         if self.walk is not None:
             return ("none: a step of a walk has no place on the map",)
+        if self.own is not None:
+            what = "the material itself" if self.attributes is None and self.colour is None else "the change"
+            return (f"none: the map has no part in {what}",)
         if self.is_extrapolation:
             return ("unknown: not supported by the data, see note",)
         if self.expected_in_chosen_colour is None:
@@ -164,7 +187,9 @@ class DiagnosedPrediction(Result):
 
     def to_json(self) -> dict[str, Any]:
         """Return plain values; only a file that was written has the program's version, and values of the file."""
-        absent = {name for name in ("attributes", "posterior") if getattr(self, name) is None}
+        absent = {
+            name for name in ("attributes", "posterior", "own", "change") if getattr(self, name) is None
+        }
         if self.path is None:
             absent |= {"path", "is_physical", "clipped_share", "mirror_difference", "seconds"}
         program = {} if self.path is None else {"program": f"manifold {__version__}"}
@@ -178,6 +203,22 @@ def predict_and_diagnose(
     place = model.place(x)
     chosen = model.choose_colour(place, choice)
     return diagnose(model, place, model.predict(place, chosen.colours), chosen)
+
+
+def diagnose_file(
+    name: str, brdf: BRDF, chosen: ChosenColour, found: Plausibility, negative_share: float, unmeasured: float
+) -> DiagnosedPrediction:
+    """Return diagnostics of the values of a file, edited or not, of which a share of cells was not measured.
+
+    They are measured on the written file; `negative_share` is that of the values before they were cut to 0.
+    """
+    measured = replace(found, negative_share=negative_share)
+    return DiagnosedPrediction(
+        brdf=brdf, own=name, latent=None, coordinates=(), walk=None, colour=chosen.words,
+        reflectance_residual=chosen.residual, weights=[], nearest=[], materials=0, expected=None,
+        expected_in_chosen_colour=None, is_extrapolation=False, plausibility=found,
+        diagnostics=of_prediction(False, measured, chosen.residual) + of_unmeasured(unmeasured),
+    )  # fmt: skip
 
 
 def diagnose(
@@ -206,6 +247,8 @@ def diagnose(
     else:
         why = _reason(model, place) if is_extrapolation else ""
         sentences = of_prediction(is_extrapolation, measured, chosen.residual, why)
+        if place.walk is not None and not is_step:
+            sentences += (_LEFT_WALK,)
     return DiagnosedPrediction(
         brdf=brdf,
         latent=None if is_step else latent,

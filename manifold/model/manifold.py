@@ -319,7 +319,7 @@ class Manifold(Embedding):
         if choice == NEAREST:
             around = "the surrounding materials" if place.walk is None else "the two materials of the walk"
             return ChosenColour(None, f"blended from {around}", 0.0)
-        if choice.like is not None:
+        if choice.like is not None and not choice.is_like_file:
             colours = self.colours.like(latent, choice.like)
             reached, asked = self.colours.reached(latent, colours), self.colours.reflectance(choice.like)
             words = f"like {choice.like}"

@@ -10,7 +10,7 @@ import pytest
 from helpers.small_library import small_library
 
 from manifold.analytic.ggx import GGX
-from manifold.analytic.microfacet import Plastic
+from manifold.analytic.microfacet import Plastic, RoughConductor
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.difference import lab_under_d65
 from manifold.colour.narrow_bands import in_daylight
@@ -29,11 +29,14 @@ from manifold.estimate.attributes import (
     lab_of,
 )
 from manifold.estimate.coat import read_colours, with_gloss
+from manifold.estimate.edits import own_values
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.predictions import predict
 from manifold.formats.readings import Readings, Viewing
 from manifold.io_rgl import read_bsdf
+from manifold.model.colours import ColourChoice
 from manifold.model.manifold import Manifold
+from manifold.model.output_file import EXPECTED_ERROR
 from manifold.model.places import Place
 from manifold.model.settings import BlendSettings, GplvmSettings
 
@@ -223,6 +226,46 @@ def test_another_gloss_keeps_a_colour_darker_than_the_coat(alpha):
     glossy = with_gloss(paint, {60.0: 40.0})
     assert gloss_units(glossy, [60.0])[60.0] == pytest.approx(40.0, rel=GLOSS_TOLERANCE)
     np.testing.assert_allclose(lab_of(glossy), lab_of(paint), atol=0.1)
+
+
+def test_another_colour_of_the_base_leaves_a_dielectric_highlight_and_tints_that_of_a_metal():
+    wi, wo = from_spherical(np.deg2rad(30.0), np.pi), from_spherical(np.deg2rad(30.0), 0.0)
+    red = Plastic(GGX.isotropic(0.1), np.array(1.5), np.array([0.5, 0.1, 0.1]), Bands(None))
+    grey = Plastic(red.ggx, red.eta, np.array([0.2, 0.2, 0.2]), red.bands)
+    made, asked = own_values(red, Attributes({"chroma": Wanted(0.0), "lightness": Wanted(lab_of(grey)[0])}))
+    assert asked.difference < 0.1
+    np.testing.assert_allclose(made.eval(wi, wo), grey.eval(wi, wo), rtol=0.03)
+    metal = RoughConductor(
+        red.ggx, np.array([0.18, 0.42, 1.37]), np.array([3.4, 2.35, 1.77]), red.bands
+    )  # gold
+    made, asked = own_values(metal, Attributes({"chroma": Wanted(0.0)}))
+    before, after = (brdf.eval(wi, wo) for brdf in (metal, made))
+    assert np.ptp(before) / before.mean() > 0.4
+    assert np.ptp(after) / after.mean() < 0.2
+    same, _ = own_values(metal, Attributes({"hue": Wanted(0.0, is_relative=True)}))
+    np.testing.assert_allclose(same.eval(wi, wo), before, rtol=1e-3)
+
+
+def test_a_step_of_a_walk_takes_colour_and_gloss_as_it_is(model, tmp_path):
+    """Another hue was looked for on the map, where there is another material."""
+    step = f"{model.names[0]}:{model.names[1]}:0.5"
+    for wanted in ({"hue": Wanted(0.0, is_relative=True)}, {"gloss_60": Wanted(0.0, is_relative=True)}):
+        made = predict(model, step, tmp_path / "step_rgb.bsdf", attributes=Attributes(wanted))
+        assert made.walk is not None
+        assert made.change.ball < 1.0
+        assert made.own.startswith("the step between")
+    chosen = predict(model, step, tmp_path / "step_rgb.bsdf", colour=ColourChoice(srgb="#208020"))
+    assert any(note.startswith("not the step of the walk") for note in chosen.diagnostics)
+
+
+def test_a_measured_material_of_another_gloss_has_no_expected_error_of_the_map(model, tmp_path):
+    name = model.names[0]
+    asked = Attributes({"gloss_60": Wanted(20.0)})
+    made = predict(model, name, tmp_path / "glossy_rgb.bsdf", attributes=asked)
+    assert made.own == name
+    assert made.expected is None
+    assert made.rows["expected error"] == ("none: the map has no part in the change",)
+    assert EXPECTED_ERROR not in read_bsdf(made.path).extra
 
 
 def test_a_colour_and_a_gloss_asked_for_together_are_both_reached(model, tmp_path):

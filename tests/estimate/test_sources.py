@@ -25,7 +25,7 @@ from manifold.estimate.source_files import read_source, source_file
 from manifold.estimate.sources import FileSource, LibrarySource, PlaceSource, parse_source
 from manifold.formats import registry
 from manifold.gp.encoding import encoding_pairs
-from manifold.io_rgl import read_bsdf
+from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.store import Library
 from manifold.model import diagnostics
 from manifold.model.comparison import brdf_errors
@@ -162,13 +162,34 @@ def test_every_command_says_what_speaks_against_a_prediction(run, folder, negati
     assert "of the values were negative" in " ".join(shown.split())
 
 
-def test_a_file_is_predicted_where_it_is_located(run, folder):
-    assert run("locate", FILE, "--json", "located.json", cwd=folder)[0] == 0
-    assert run("predict", FILE, "--json", "predicted.json", cwd=folder)[0] == 0
-    located, predicted = (
-        json.loads((folder / f"{name}.json").read_text()) for name in ("located", "predicted")
-    )
-    assert predicted["latent"] == located["latent"]
+def test_a_file_that_is_predicted_keeps_its_own_values(run, folder):
+    status, out, _ = run("predict", FILE, "-o", "own.bsdf", "--json", "own.json", cwd=folder)
+    assert status == 0
+    assert out.splitlines()[1].split()[:3:2] == ["difference", "CIEDE2000"]
+    made = json.loads((folder / "own.json").read_text())
+    assert (made["own"], made["latent"], made["expected"]) == (FILE, None, None)
+    assert made["change"]["ball"] == 0.0
+    own, source = (read_bsdf(folder / name) for name in ("own.bsdf", FILE))
+    np.testing.assert_array_equal(own.spectra, source.spectra)
+    assert run("predict", FILE, "-o", "own.bsdf", "--physical", "--json", "own.json", cwd=folder)[0] == 0
+    own, source = (MeasuredBRDF(read_bsdf(folder / name)) for name in ("own.bsdf", FILE))
+    made = json.loads((folder / "own.json").read_text())
+    assert made["change"]["ball"] == pytest.approx(brdf_errors(source, own).ball, rel=0.1)  # unmeasured cells
+    assert 0.0 < made["change"]["ball"] < 1.0
+
+
+def test_a_file_with_another_hue_is_that_file_recoloured(run, folder):
+    arguments = ("predict", FILE, "-o", "hue.bsdf", "--json", "hue.json", "--resolution", "8")
+    assert run(*arguments, "--hue", "+0", cwd=folder)[0] == 0
+    assert json.loads((folder / "hue.json").read_text())["change"]["ball"] < 1.0
+    assert run(*arguments, "--like", OTHER, cwd=folder)[0] == 0
+    by_name = read_bsdf(folder / "hue.bsdf").spectra
+    write_bsdf(folder / "other.bsdf", Library(folder / "library.zarr").read(OTHER))
+    assert run(*arguments, "--like", "other.bsdf", cwd=folder)[0] == 0
+    np.testing.assert_allclose(read_bsdf(folder / "hue.bsdf").spectra, by_name, rtol=0.02, atol=1e-3)
+    status, _, err = run(*arguments, "--like", "none.bsdf", cwd=folder)
+    assert status == 1
+    assert "none.bsdf" in err
 
 
 def test_readings_lead_to_what_makes_a_material_of_them(run, folder, rng):

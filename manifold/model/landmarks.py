@@ -18,10 +18,10 @@ from manifold.model.decoding import appearance_weight, roots_at
 from manifold.model.latent_space import Embedded
 from manifold.model.materials import MaterialCache
 
-_COMPARED = 30  # nearest samples on the map that a sample is compared with
+_COMPARED = 30  # samples that each sample is compared with
+_COORDINATES = 8  # of the search for them: 99 % of the ten most similar are found among 500
 _REPELLING = 1000  # number of samples that repel, at most
-_SEARCHES = 4  # searches for these neighbours, each on the map that the one before made
-_LIMITS = {"maxiter": 60, "maxfun": 90, "ftol": 1e-9, "gtol": 1e-7, "maxcor": 10}  # options of L-BFGS
+_LIMITS = {"maxiter": 240, "maxfun": 360, "ftol": 1e-9, "gtol": 1e-7, "maxcor": 10}  # options of L-BFGS
 
 
 def farthest_samples(count: int, distances_to: Callable[[int], Array]) -> Indices:
@@ -44,9 +44,9 @@ def landmark_layout(
     """Return places (N, Q) of N samples, for `scaled`; an approximation of `blend_layout`, at a cost linear in N.
 
     The landmarks (M,) have the places `anchors` (M, Q); every other sample starts at their mean, weighted with its
-    affinities by its distances from them, (N, M). Then all are refined: attracted by landmarks and by nearby samples,
-    whose distances (N, n) `compare` returns for their indices, and repelled by at most 1000 samples, which stand for
-    all.
+    affinities by its distances from them, (N, M). Then all are refined: attracted by landmarks and by samples whose
+    distances from these are similar, and repelled by at most 1000 samples, which stand for all. `compare` returns the
+    distances (N, n) of all samples from samples (N, n).
     Source: van der Maaten & Hinton 2008, section 6, for landmarks among many samples.
     """
     N = len(to_landmarks)
@@ -57,13 +57,21 @@ def landmark_layout(
     stand_for = np.full(len(repelling), N / len(repelling))
     of_landmarks = np.broadcast_to(landmarks, to_landmarks.shape)
     from_landmarks = np.where(of_landmarks == np.arange(N)[:, None], np.inf, to_landmarks)
-    for _ in range(_SEARCHES):
-        near = scipy.spatial.KDTree(X).query(X, min(_COMPARED + 1, N))[1][:, 1:]
-        distance = np.where(np.isin(near, landmarks), np.inf, compare(near))
-        others = np.hstack([of_landmarks, near])
-        affinity = affinities(np.hstack([from_landmarks, distance]))
-        X = LayoutObjective(others, affinity, repelling, stand_for).minimise(X, limits=_LIMITS)
-    return X
+    near = _similar(to_landmarks, min(_COMPARED, N - 1))
+    distance = np.where(np.isin(near, landmarks), np.inf, compare(near))
+    affinity = affinities(np.hstack([from_landmarks, distance]))
+    objective = LayoutObjective(np.hstack([of_landmarks, near]), affinity, repelling, stand_for)
+    return objective.minimise(X, limits=_LIMITS)
+
+
+def _similar(to_landmarks: Array, count: int) -> Indices:
+    """Return the samples (N, count) whose distances from the landmarks, (N, M), are most like those of each."""
+    centred = to_landmarks - to_landmarks.mean(axis=0)
+    axes = np.linalg.eigh(centred.T @ centred)[1][:, : -_COORDINATES - 1 : -1]
+    found = scipy.spatial.KDTree(centred @ axes).query(centred @ axes, count + 1)[1]
+    is_other = found != np.arange(len(found))[:, None]
+    is_other[is_other.all(axis=1), -1] = False  # copies of the sample came first
+    return np.asarray(found[is_other].reshape(len(found), count))
 
 
 SIGNATURE = 32

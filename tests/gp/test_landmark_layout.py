@@ -24,7 +24,7 @@ def test_copies_are_no_landmarks():
 
 
 def test_neighbours_of_a_plane_stay_neighbours_among_few_landmarks(rng):
-    """Samples of a plane whose distances from 30 of them, and from neighbours on the map, are known."""
+    """Samples of a plane whose distances from 30 of them, and from 30 candidates, are known."""
     truth = rng.uniform(-3.0, 3.0, size=(300, 2))
     distance = cdist(truth, truth)
     landmarks = farthest_samples(30, lambda i: distance[i])

@@ -8,6 +8,7 @@ import re
 import sys
 import traceback
 import warnings
+from collections.abc import Sequence
 from difflib import get_close_matches
 from functools import partial
 from itertools import pairwise
@@ -26,6 +27,8 @@ from . import application, terminal
 _COORDINATES = re.compile(r"-[\d.][-+\d.eE]*(,[-+\d.eE]+)+")  # such as -0.3,1.2, which is no option
 _COORDINATE = re.compile(r"-[\d.][-+\d.eE]*")  # of a latent in one dimension, unless it is an option's value
 _OPTIONS = re.compile(r"No such option: (\S+) \(Possible options: ([^)]*)\)")
+_NUMBER = re.compile(r"-?[\d.][-+\d.eE]*")
+_EXTRA = re.compile(r"Got unexpected extra argument\S* \(([-\d.eE+ ]+)\)")
 _ALIKE = 0.75  # share of the letters of an option that a mistyped one has
 _EXIT_ERROR = 1
 _EXIT_USAGE = 2
@@ -107,7 +110,7 @@ def run(arguments: list[str] | None = None) -> None:
         else:
             if debug:
                 traceback.print_exc()
-            print(f"manifold: {_one_line(_message(error))}", file=sys.stderr)
+            print(f"manifold: {_one_line(_message(error, arguments))}", file=sys.stderr)
             status = _EXIT_USAGE if isinstance(error, UsageError | _Mistyped) else _EXIT_ERROR
     if status == _EXIT_INTERRUPTED:
         print("manifold: interrupted; finished outputs are kept", file=sys.stderr)
@@ -116,7 +119,8 @@ def run(arguments: list[str] | None = None) -> None:
 
 def _is_latent(argument: str, before: str) -> bool:
     """Return whether an argument that begins with a minus is a latent, not an option or an option's value."""
-    single = _COORDINATE.fullmatch(argument) is not None and not before.startswith("-")
+    is_behind_option = before.startswith("-") and _COORDINATE.fullmatch(before) is None
+    single = _COORDINATE.fullmatch(argument) is not None and not is_behind_option
     return single or _COORDINATES.fullmatch(argument) is not None
 
 
@@ -127,16 +131,27 @@ def _is_interruption(error: BaseException | None) -> bool:
     return error is not None
 
 
-def _message(error: Exception) -> str:
+def _message(error: Exception, arguments: Sequence[str]) -> str:
     if isinstance(error, _Mistyped):
         command = getattr(error.ctx, "command_path", "manifold")
         found = error.format_message().replace("Value error, ", "").rstrip(".")  # words of Typer's
         found = re.sub(r"\. Did you mean (.*\?)$", r" (did you mean \1)", found)
         found = _OPTIONS.sub(_like_options, found)
+        if (extra := _EXTRA.fullmatch(found)) is not None:
+            stripped = [argument.strip() for argument in arguments]
+            found = found.replace("( ", "(") + _joined_coordinates(extra[1].split(), stripped)
         return f"{found}; see `{command} --help`"
     if isinstance(error, ModuleNotFoundError):
         error = missing(error) or error
     return in_words(error)
+
+
+def _joined_coordinates(extra: list[str], arguments: list[str]) -> str:
+    """Return a hint that joins coordinates which stand apart, such as 0.3 0.2; empty if no number precedes them."""
+    first = next((k for k in range(len(arguments)) if arguments[k : k + len(extra)] == extra), 0)
+    if first == 0 or _NUMBER.fullmatch(arguments[first - 1]) is None:
+        return ""
+    return f"; write coordinates with a comma: {','.join([arguments[first - 1], *extra])}"
 
 
 def _like_options(found: re.Match[str]) -> str:

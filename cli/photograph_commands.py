@@ -308,7 +308,10 @@ def show_completed(
     rows = completed.summary | ({} if report is None else {"report": report})
     assert completed.path is not None
     rows["next"] = terminal.export_command(completed.path)
-    if readings and str(rows.get("advice", "")).startswith("do not"):
+    advice = str(rows.get("advice", ""))
+    if advice.startswith("do not") and "; check the " in advice:
+        del rows["next"]
+    elif readings and advice.startswith("do not"):
         command = f"manifold complete {shlex.join(map(str, readings))}"
         is_suggested = completed.suggested is not None
         rows["next"] = "measure the directions below" if is_suggested else f"{command} --suggest 3"

@@ -29,6 +29,7 @@ used: dict[str, str] = {}
 _SILENT_SECONDS = 10.0  # while a command works and stderr is no terminal
 _QUICK_SECONDS = 1.0  # work that is done by then needs no line
 _last_line = time.monotonic()
+_last_text = ""
 
 _MOST_NOTES = 4  # of a result
 _WIDTH = 80  # columns that sentences and lists are broken to; a line with a single long word may be longer
@@ -36,8 +37,8 @@ _WIDTH = 80  # columns that sentences and lists are broken to; a line with a sin
 
 def begin(strict: bool) -> None:
     """Start the clock of silence, and forget the warnings of an earlier command; strict: warnings are errors."""
-    global _last_line, _is_strict
-    _is_strict = strict
+    global _last_line, _last_text, _is_strict
+    _is_strict, _last_text = strict, ""
     _last_line = time.monotonic()
     warned.clear()
     used.clear()
@@ -50,7 +51,7 @@ def is_strict() -> bool:
 
 @contextmanager
 def display(title: str, *, in_bytes: bool) -> Iterator[Listener]:
-    """Show a progress bar on stderr, or a line every ten seconds if it is no terminal."""
+    """Show a progress bar on stderr; if it is no terminal, a line every ten seconds unless it is the same."""
     if not sys.stderr.isatty():
         with _lines(title) as line:
             yield line
@@ -91,11 +92,14 @@ def _lines(title: str) -> Iterator[Listener]:
         state = f": {done} of {total}" + f", {what}" * bool(what)
 
     def tell() -> None:
-        global _last_line
+        global _last_line, _last_text
         while not finished.wait(max(_last_line + _SILENT_SECONDS - time.monotonic(), _QUICK_SECONDS)):
-            _last_line = time.monotonic()
+            _last_line, text = time.monotonic(), printable(title + state)
+            if text == _last_text:
+                continue
+            _last_text = text
             with suppress(OSError, ValueError):  # stderr may be closed by now
-                sys.stderr.write(printable(title + state) + "\n")
+                sys.stderr.write(text + "\n")
                 sys.stderr.flush()
 
     thread = threading.Thread(target=tell, daemon=True)

@@ -15,7 +15,7 @@ from manifold.formats import Readings, geometry_ma_t12
 
 sample = mf.MeasuredBRDF(mf.read_bsdf("corpus/syn_gloss_red_rgb.bsdf"))
 atoms = LibraryAtoms.of_library(mf.Library("library.zarr"))
-atoms = atoms.without(atoms.names.index("syn_gloss_red"))
+atoms = atoms.without("syn_gloss_red")
 
 
 def complete(wi, wo):

@@ -42,6 +42,9 @@ from manifold.registries import CONVERTED
 
 _SAME_PAIR = 1e-6  # largest difference between unit vectors that were written with nine digits
 _DARK = 1e-3  # share of the brightest value, with which darker ones are compared
+_LARGE_ERROR = 0.05  # of cube roots; above, its reasons are noted
+_NEAR_MIRROR_DEG = 10.0
+_SHOWN_SHARE = 0.2  # of the squared error
 _FEW = 20  # readings per incidence, of spectrophotometers rather than of goniometers
 
 
@@ -168,10 +171,12 @@ def convert(
     f = compared.values
     floor = _DARK * float(np.max(np.abs(f), initial=1e-300))
     median, high = np.percentile(np.abs(f_star - f) / np.maximum(np.abs(f), floor), [50, 95]).tolist()
+    errors = Errors.of_values(f, f_star, cosine_weight(compared.wi, compared.wo))
+    if errors.cube_root > _LARGE_ERROR:
+        notes += _reasons(compared, f_star)
     return Conversion(
         nodes.name, tuple(path.name for path in files) or (name,), nodes.instrument, target.title, back.nodes.bands,
-        len(f), Errors.of_values(f, f_star, cosine_weight(compared.wi, compared.wo)), median, high,
-        (*nodes.notes, *notes),
+        len(f), errors, median, high, (*nodes.notes, *notes),
     )  # fmt: skip
 
 
@@ -194,6 +199,30 @@ def _predicted(place: PlaceSource) -> tuple[DiagnosedPrediction, BsdfFile]:
         path = Path(folder) / f"{place.name}.bsdf"
         made = predict(place.model, place.place, path, library=place.library, colour=place.colour)
         return made, read_bsdf(path)
+
+
+def _reasons(compared: Readings, f_star: Array) -> list[str]:
+    """Return a note on the parts of a large cube-root error: negative values, and those near mirror directions."""
+    f, weight = compared.values, cosine_weight(compared.wi, compared.wo)[:, None]
+    squares = (np.cbrt(weight * f_star) - np.cbrt(weight * f)) ** 2
+    mirror = np.einsum("pi,pi->p", compared.wi * [-1.0, -1.0, 1.0], compared.wo)
+    is_negative = (f < 0.0) & (f_star >= 0.0)
+    is_near = mirror > np.cos(np.deg2rad(_NEAR_MIRROR_DEG))
+    total = max(float(squares.sum()), np.finfo(float).tiny)
+    negative = float(squares[is_negative].sum()) / total
+    near = float(np.where(is_negative, 0.0, squares)[is_near].sum()) / total
+    parts = [
+        f"{percent(share)} {what}"
+        for share, what in (
+            (negative, "is of negative values (colours outside sRGB, noise), which are stored as 0"),
+            (
+                near,
+                f"is within {_NEAR_MIRROR_DEG:g} degrees of mirror directions, where the nodes miss the highlight",
+            ),
+        )
+        if share > _SHOWN_SHARE
+    ]
+    return [f"of the squared cube-root error, {'; '.join(parts)}"] if parts else []
 
 
 def _gaps(source: ConversionSource) -> list[str]:

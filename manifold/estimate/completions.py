@@ -108,10 +108,13 @@ class Completed(Result):
     @property
     def fault(self) -> str | None:
         """Why the values themselves are in doubt: the material is too bright or too dark; None if it is not."""
-        check = "check the exposure" if self._readings is None else "check the unit of the readings (--unit)"
-        if self.plausibility is not None and self.plausibility.max_albedo > diagnostics.MOST_ALBEDO:
-            return f"albedo {self.plausibility.max_albedo:.2f}; {check}, or write it with --physical"
-        return f"darker than all materials of the library; {check}" if self.completion.is_too_dark else None
+        what = "readings" if _unit(self._readings) is None else "unit of the readings (--unit)"
+        if self.completion.is_too_dark:
+            return f"darker than all materials of the library; check the {what}"
+        if self.plausibility is None or self.plausibility.max_albedo <= diagnostics.MOST_ALBEDO:
+            return None
+        what = "exposure" if self._readings is None else what
+        return f"albedo {self.plausibility.max_albedo:.2f}; check the {what}, or write it with --physical"
 
     expected: Errors[float] = field(
         metadata=entry(

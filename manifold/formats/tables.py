@@ -61,6 +61,8 @@ from manifold.formats.values import (
     assumed_factors,
     assumed_unit,
     bands_of,
+    bright_bands,
+    is_too_bright,
     lab_to_linear_srgb,
     relative_uncertainties,
     too_bright_rows,
@@ -699,7 +701,7 @@ def _readings(
         raise context.error(f"sample '{name[:40]}' has no values, expected reflectance or f in 1/sr")
     values = as_brdf(raw, kind, wi, wo, notes if columns.geometry is None else [], white)
     rows = [table.where(row) for row in compress(sample.rows, keep)]
-    notes += _doubtful(rows, wi, wo, values, is_spectral=channel(columns.band_heads[0]) is None)
+    notes += _doubtful(rows, columns.band_heads, wi, wo, values)
     uncertain = dict(
         zip(
             (columns.heads[k] for k in columns.uncertainties),
@@ -733,17 +735,26 @@ def _readings(
     return Readings(name, instrument, wi, wo, nm, values, notes=tuple(notes), gloss=gloss, **weighed)
 
 
-def _doubtful(rows: list[str], wi: Array, wo: Array, values: Array, *, is_spectral: bool) -> list[str]:
+def _doubtful(rows: list[str], heads: list[str], wi: Array, wo: Array, values: Array) -> list[str]:
     """Return notes on rows of values (P, B) in 1/sr that are negative, or too bright away from mirror directions.
 
-    Single channels of colours outside sRGB are negative.
+    Some bands may be too bright alone. Single channels of colours outside sRGB are negative.
     """
     notes = list[str]()
+    is_spectral = channel(heads[0]) is None
     with np.errstate(invalid="ignore"):
         is_negative = np.any(values < 0.0, axis=1) if is_spectral else np.mean(values, axis=1) < 0.0
     if len(negative := np.flatnonzero(is_negative)):
         named = first_few([rows[k] for k in negative], _NAMED_ROWS)
         notes.append(Assumption(f"{named}: negative values, which count as 0"))
+    alone = np.flatnonzero(bright_bands(wi, wo, values))
+    if is_spectral and 0 < len(alone) < len(heads) and not is_too_bright(wi, wo, values):
+        named = first_few([heads[k] for k in alone], _NAMED_ROWS)
+        notes.append(
+            Assumption(
+                f"band {named}: brighter than a perfect diffuser, away from the mirror direction; saturated?"
+            )
+        )
     bright = too_bright_rows(wi, wo, values)
     if len(bright):
         named = first_few([rows[k] for k in bright], _NAMED_ROWS)

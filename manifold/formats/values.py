@@ -118,9 +118,9 @@ class Assumed(NamedTuple):
 def assumed_unit(raw: Sequence[tuple[Array, Array, Array]]) -> Assumed:
     """Choose the unit of values without one: BRDF in 1/sr, reflectance factors, or these in percent.
 
-    Values that would reflect more light than they receive in any band are factors. If a single value says so, they
-    stay a BRDF, with a note. Factors are in percent if their mean over bands is too bright as well, or one of their
-    bands by more than fluorescence explains.
+    Values that would reflect more light than they receive in an eighth of their bands are factors; fewer bands may be
+    saturated. If a single value says so, they stay a BRDF, with a note. Factors are in percent if their mean over bands
+    is too bright as well, or an eighth of their bands by more than fluorescence explains.
 
     Each of several samples is wi (P, 3), wo (P, 3) and values (P, B) of one file.
     """
@@ -244,15 +244,21 @@ def looks_like_percent(wi: Array, wo: Array, values: Array, most_factor: float =
 
 
 def is_too_bright(wi: Array, wo: Array, values: Array, fewest: int = 2, most: float = _MOST_BRDF) -> bool:
-    """Return whether values (P, B) in 1/sr are too large in any band, away from mirror direction and horizon.
+    """Return whether values (P, B) in 1/sr are too large in an eighth of the bands, see `bright_bands`."""
+    return int(bright_bands(wi, wo, values, fewest, most).sum()) >= max(values.shape[1] / 8.0, 1.0)
+
+
+def bright_bands(wi: Array, wo: Array, values: Array, fewest: int = 2, most: float = _MOST_BRDF) -> Mask:
+    """Return a mask (B,) of bands whose values (P, B) in 1/sr are too large, away from mirror direction and horizon.
 
     The median of a band decides, or the smallest of fewer than five values. False if there are fewer than `fewest`.
     """
-    for band in values[_is_diffuse(wi, wo)].T:
+    is_bright = np.zeros(values.shape[1], dtype=bool)
+    for k, band in enumerate(values[_is_diffuse(wi, wo)].T):
         seen = band[np.isfinite(band)]
-        if len(seen) >= fewest and np.pi * (np.median(seen) if len(seen) >= _FEW else seen.min()) > most:
-            return True
-    return False
+        if len(seen) >= fewest:
+            is_bright[k] = np.pi * (np.median(seen) if len(seen) >= _FEW else seen.min()) > most
+    return is_bright
 
 
 def too_bright_rows(wi: Array, wo: Array, values: Array) -> Indices:

@@ -103,6 +103,8 @@ def test_every_command_explains_itself_with_an_example(run, tmp_path, command):
         (["predit"], "'predit' (did you mean 'predict'?); see `manifold --help`"),
         (["predict", "--latnt", "0"], "No such option: --latnt (did you mean --latent?); see"),
         (["predict", "--name", "x"], "No such option: --name; see"),
+        (["predict", "0.3", "0.2"], "write coordinates with a comma: 0.3,0.2; see"),
+        (["predict", "-0.3", "-0.2", "1"], "write coordinates with a comma: -0.3,-0.2,1; see"),
         (["import", ""], "an empty argument"),
     ],
 )

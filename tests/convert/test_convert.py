@@ -18,6 +18,7 @@ from manifold.colour.conversion import to_srgb
 from manifold.colour.difference import lab_under_d65, lab_values
 from manifold.colour.narrow_bands import SPECTRUM, estimate_spectra, with_spectra
 from manifold.convert import targets
+from manifold.convert.conversion import _reasons as reasons
 from manifold.convert.conversion import convert
 from manifold.convert.source import open_source
 from manifold.convert.tabulated import ReadingsBRDF
@@ -37,6 +38,19 @@ GONIOMETERS = ("mini-diff", "lighttools", "zemax", "merl", "utia")
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     return write_every_format(tmp_path_factory.mktemp("formats"), is_coarse=True)
+
+
+def test_a_large_error_names_negative_values_and_missed_highlights():
+    wi, wo = (
+        from_spherical(np.deg2rad(angles), phi)
+        for angles, phi in (((30.0, 30.0), np.pi), ((32.0, 70.0), 0.0))
+    )
+    read = Readings("a", "test", wi, wo, None, np.array([[0.5, 0.5, -0.2], [0.1, 0.1, 0.1]]))
+    (of_negative,) = reasons(read, np.array([[0.5, 0.5, 0.0], [0.1, 0.1, 0.1]]))
+    assert "100 % is of negative values" in of_negative
+    (of_highlight,) = reasons(read, np.array([[0.2, 0.2, -0.2], [0.1, 0.1, 0.1]]))
+    assert "100 % is within 10 degrees of mirror directions" in of_highlight
+    assert reasons(read, np.array([[0.5, 0.5, -0.2], [0.2, 0.2, 0.2]])) == []
 
 
 @pytest.mark.parametrize("name", GONIOMETERS)

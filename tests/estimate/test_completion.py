@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,6 +19,8 @@ from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility
+from manifold.cli import terminal
+from manifold.cli.photograph_commands import show_completed
 from manifold.colour import panel
 from manifold.colour.conversion import luminance
 from manifold.colour.narrow_bands import SPECTRUM
@@ -820,3 +823,23 @@ def test_a_left_out_reading_is_that_which_the_others_predict(atoms):
 def test_many_readings_or_one_are_not_left_out_in_turn(atoms):
     one = readings(np.full((12, 3), 0.1)).select_pairs([0])
     assert left_out_readings(Completion.of(atoms, one)) is None
+
+
+@pytest.mark.parametrize(
+    ("advice", "suggested", "next_step"),
+    [
+        ("use it", None, "manifold export a.bsdf -o a.glb"),
+        ("use it if the values are per cent (--unit)", None, "manifold export a.bsdf -o a.glb"),
+        ("do not use it for highlights", None, "manifold complete a.csv --suggest 3"),
+        ("do not use it for highlights", object(), "measure the directions below"),
+        ("do not use it: albedo 2; check the unit of the readings (--unit)", None, None),
+    ],
+)
+def test_the_next_step_follows_from_the_advice(capsys, advice, suggested, next_step):
+    made = SimpleNamespace(
+        summary={"advice": advice}, path=Path("a.bsdf"), suggested=suggested, diagnostics=tuple("abcdef")
+    )
+    show_completed(terminal.Results(), made, None, [Path("a.csv")])
+    out = capsys.readouterr().out
+    assert (next_step is None and "  next " not in out) or f"next        {next_step}" in out
+    assert "2 (--json lists all as diagnostics)" in out

@@ -255,7 +255,7 @@ RED = (0.046, 0.046, 0.13, 0.55, 0.61)
 
 
 @pytest.mark.parametrize(("scale", "unit"), [(1.0, "factor"), (100.0, "percent"), (1.0 / np.pi, "brdf")])
-def test_one_band_that_reflects_too_much_decides_the_unit(scale, unit, tmp_path):
+def test_bands_that_reflect_too_much_decide_the_unit(scale, unit, tmp_path):
     path = tmp_path / "red.csv"
     pairs = [(45, 0, 0), (45, 20, 0), (30, 60, 180), (20, 50, 180)]
     rows = [";".join(map(str, (*pair, *(scale * v for v in RED)))) for pair in pairs]
@@ -263,6 +263,17 @@ def test_one_band_that_reflects_too_much_decides_the_unit(scale, unit, tmp_path)
     found = registry.read_readings(path)
     assert found.assumed_unit == unit
     np.testing.assert_allclose(found.values, np.tile(RED, (4, 1)) / np.pi)
+
+
+def test_a_saturated_band_is_noted_and_does_not_decide_the_unit(tmp_path):
+    path = tmp_path / "saturated.csv"
+    heads = [str(nm) for nm in range(400, 701, 20)]
+    values = ["9.99" if head == "460" else "0.1" for head in heads]
+    rows = [",".join([f"45,{theta},180", *values]) for theta in (0, 20, 40, 60)]
+    path.write_text("\n".join(["theta_i,theta_o,phi_o," + ",".join(heads), *rows]) + "\n")
+    found = registry.read_readings(path)
+    assert found.assumed_unit == "brdf"
+    assert any(note.startswith("band 460: brighter than a perfect diffuser") for note in found.notes)
 
 
 def test_a_fluorescent_band_above_1_is_not_percent(tmp_path):

@@ -164,11 +164,11 @@ def _fit_rows(content: dict[str, Any]) -> dict[str, object]:
     epilog="Example: manifold export satin_gold_spec.bsdf -o satin_gold.glb",
 )
 def export(
-    source: Annotated[
-        str | None,
+    sources: Annotated[
+        list[str] | None,
         typer.Argument(
             help="The JSON of a fit; or a .bsdf file, a material of the library, or a place on the map, which is "
-            "fitted; or a library or folder of them.",
+            "fitted; or several, a library or folder of them.",
             metavar="SOURCE",
             show_default=False,
         ),
@@ -180,7 +180,7 @@ def export(
         Path | None,
         options.output_option(
             "The file: {manifold.registries.EXPORTS_IN_WORDS}; for many materials, a folder. "
-            "[default: the material's name, .glb; or exports]"
+            "[default: the material's name, .glb, or _TARGET.json; or exports]"
         ),
     ] = None,
     target: Annotated[
@@ -197,7 +197,11 @@ def export(
         typer.Option(help="For a fit: the measured .bsdf to compare with.", metavar="FILE"),
     ] = None,
     picture: Annotated[
-        bool, typer.Option("--picture", help="Also draw the material beside the target's model, into NAME.png.")
+        bool,
+        typer.Option(
+            "--picture",
+            help="Also draw the material beside the target's model, into NAME.png; for several targets all balls.",
+        ),
     ] = False,
     tolerance: Annotated[
         float | None,
@@ -229,48 +233,50 @@ def export(
         raise UsageError(
             f"found --pack {pack} and -o {output}, expected one of them: both are where to write"
         )
-    if source is None:
+    if not sources:
         if pack is None:
             raise UsageError(
                 "no material is given; give one: a file, a name, or a place such as -0.3,1.2 or FROM:TO:T"
             )
-        source = str(library or options.DEFAULT_LIBRARY)
-    material = options.material_sources([source], model, library, colour=colour)[0]
+        sources = [str(library or options.DEFAULT_LIBRARY)]
+    materials = options.material_sources(sources, model, library, colour=colour)
     if target == "shader":
         if against is not None:
             raise UsageError("--against goes with the fit of a target's model; leave it out for a shader")
-        _export_shader(results, material, output, tolerance, picture, pack)
+        _export_shader(results, materials, output, tolerance, picture, pack)
         return
     if tolerance is not None:
         raise UsageError("--tolerance goes with --target shader; leave it out for models that are fitted")
     from manifold.estimate.inputs import is_many
-    from manifold.estimate.sources import FileSource
     from manifold.fit import exporting  # which imports Matplotlib; a shader does without
     from manifold.io_rgl import material_name
     from manifold.registries import TARGETS
 
     targets = [TARGETS[name] for name in dict.fromkeys(map(str.strip, (target or "gltf").split(",")))]
-    if len(targets) > 1 and (picture or pack is not None):
-        raise UsageError(f"--picture and --pack go with one target, found {target}")
-    if isinstance(material, FileSource) and is_many([material]):
+    if len(targets) > 1 and pack is not None:
+        raise UsageError(f"--pack goes with one target, found {target}")
+    if is_many(materials):
         if against is not None:
-            raise UsageError("--against goes with the JSON of one fit; leave it out for a folder")
+            raise UsageError("--against goes with the JSON of one fit; leave it out for several")
         if len(targets) > 1:
-            command = exporting.exports_of_many(targets)
+            command = exporting.exports_of_many(targets, with_pictures=picture)
         else:
             command = exporting.exports(targets[0], with_pictures=picture, is_pack=pack is not None)
-        make_many(results, command, exporting.export_sources(material.path), pack or output)
+        make_many(results, command, exporting.all_sources(materials), pack or output)
         return
+    (material,) = materials
     _refuse_pack_of_one(pack, material)
     name = material_name(Path(material.name.removesuffix(".fit.json")))
     if len(targets) > 1:
         folder = or_default(output, ".")
         require_folder(folder, "the files of several targets; name a folder", targets[0].suffix)
         with progress.shown("Exporting"):
-            outcomes = exporting.export_many(material, targets, folder, name, against=against)
-        _show_exports(results, outcomes)
+            drawn = folder / f"{name}.png" if picture else None
+            outcomes = exporting.export_many(material, targets, folder, name, against=against, picture=drawn)
+        _show_exports(results, outcomes, drawn)
         return
-    path = or_default(output, name + targets[0].suffix)
+    named_target = f"_{targets[0].name}" * (targets[0].suffix == ".json")  # other commands write NAME.json
+    path = or_default(output, f"{name}{named_target}{targets[0].suffix}")
     drawn = path.with_suffix(".png") if picture else None
     with progress.shown("Exporting"):
         named = targets[0].name if target else None
@@ -284,7 +290,7 @@ def _refuse_pack_of_one(pack: Path | None, material: MaterialSource) -> None:
 
 
 def _export_shader(
-    results: terminal.Results, material: MaterialSource, output: Path | None, tolerance: float | None,
+    results: terminal.Results, materials: Sequence[MaterialSource], output: Path | None, tolerance: float | None,
     picture: bool, pack: Path | None,
 ) -> None:  # fmt: skip
     from manifold.core.metrics import Errors
@@ -292,10 +298,11 @@ def _export_shader(
     from manifold.shader import exporting
 
     tolerance = exporting.DEFAULT_TOLERANCE if tolerance is None else tolerance
-    if is_many([material]):
+    if is_many(materials):
         command = exporting.exports(tolerance, with_pictures=picture, is_pack=pack is not None)
-        make_many(results, command, find_inputs([material]), pack or output)
+        make_many(results, command, find_inputs(materials), pack or output)
         return
+    (material,) = materials
     _refuse_pack_of_one(pack, material)
     folder = or_default(output, material.name.removesuffix(".fit.json"))
     require_folder(folder, "the files of a shader", ".glsl")
@@ -319,10 +326,17 @@ def _show_exports(
     results: terminal.Results, outcomes: Sequence[Outcome[Any]], picture: Path | None = None
 ) -> None:
     from manifold.core.metrics import Errors
+    from manifold.registries import TARGETS
+
+    def parameters(content: dict[str, Any]) -> dict[str, object]:
+        """Return rows of the parameters, without those that have their default."""
+        usual = TARGETS[content["target"]].defaults
+        changed = {name: value for name, value in content["parameters"].items() if value != usual[name]}
+        return terminal.parameter_rows(changed)
 
     for outcome in outcomes:
         content = outcome.content or {}
-        rows = terminal.parameter_rows(content["parameters"])
+        rows = parameters(content)
         rows["colour space"] = content["colour_space"]
         against = f"against the {content['against']}"
         if several := content.get("implementations"):
@@ -330,10 +344,16 @@ def _show_exports(
                 rows[f"CIEDE2000 of the ball in {name}"] = f"{Errors(**errors)}, {against}"
         else:
             rows["CIEDE2000 of the ball"] = f"{Errors(**content['errors'])}, {against}"
+        if (without := content.get("without_curve")) is not None:
+            curve, base = TARGETS[content["target"]].curve
+            rows[f"with {base} instead of {curve}"] = Errors(**without)
         if content["principled_errors"] is not None:
             rows["Mitsuba's principled"] = Errors(**content["principled_errors"])
         if picture is not None:
             rows["picture"] = picture
         rows |= terminal.numbered("note", outcome.notes)
         results.rows(f"Exported {outcome.path} ({content['target']})", rows)
+        if (beside := content.get("beside")) is not None:
+            rows = parameters(beside) | {"CIEDE2000 of the ball": f"{Errors(**beside['errors'])}, {against}"}
+            results.rows(f"{beside['target']} in the same file", rows)
     results.document({"exports": [outcome.to_json() for outcome in outcomes], "failed": []})

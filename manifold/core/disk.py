@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import shutil
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from glob import glob, has_magic
@@ -50,6 +51,11 @@ def require_writable(path: Path) -> None:
         raise _cannot_write(path, os.strerror(errno.ENOTDIR if os.path.exists(folder) else errno.ENOENT))
     if not os.access(folder, os.W_OK | os.X_OK):
         raise _cannot_write(path, "its folder is not writable")
+    try:
+        with tempfile.TemporaryFile(dir=folder):  # `access` says yes of /proc
+            pass
+    except OSError as error:
+        raise _cannot_write(path, str(error.strerror)) from error
 
 
 def write_text(path: Path, text: str) -> None:

@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from manifold.core.errors import ShapeError
-from manifold.core.judged_lights import BALL, BALL_COLUMN, LIGHTS
+from manifold.core.judged_lights import BALL, BALL_COLUMN, LIGHTS, light_in_words
 from manifold.core.names import percent
 from manifold.core.records import Array, plain
 
@@ -151,7 +151,7 @@ class Errors(Generic[Number]):
         return Errors(**{name: array(value) for name, value in content.items()})
 
     def __str__(self) -> str:
-        worst = f", worst {self.worst:.2f} ({self.worst_light})" if self.worst_light else ""
+        worst = f", worst {self.worst:.2f} ({light_in_words(self.worst_light)})" if self.worst_light else ""
         seen = f"; in the lights of the fit {self.fitted_ball:.2f}" if "fitted_ball" in self.known else ""
         return f"{self.ball:.2f} (mean of {LIGHTS}){worst}{seen}"
 
@@ -166,12 +166,13 @@ class Errors(Generic[Number]):
         of_all = {
             "scaled_ball": f"{self.scaled_ball:.1f} {BALL}, after matching the brightness",
             "ball": f"{self.ball:.1f} {BALL}",
-            "worst": f"{self.worst:.1f} in the worst light ({self.worst_light})",
+            "worst": f"{self.worst:.1f} in the worst light ({light_in_words(self.worst_light)})",
             "cube_root": f"{percent(self.cube_root)} cube-root error"
             + (f" ({of_parts})" if of_parts else ""),
             "linear": f"{percent(self.linear)} linear error",
         }
-        return [words for name, words in of_all.items() if name in self.known]
+        is_useless = {"linear": self.linear > 1.0}  # of sharp highlights, which rule it
+        return [words for name, words in of_all.items() if name in self.known and not is_useless.get(name)]
 
 
 def rmse(f: Array, f_star: Array, *, n_pairs: float | None = None) -> float:

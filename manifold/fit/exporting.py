@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -12,16 +13,16 @@ import numpy as np
 
 from manifold.brdf.interface import BRDF, EvaluableBRDF
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.notebook import ball_image, sun_image
 from manifold.brdf.orientation import aligned
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour.difference import VISIBLE
 from manifold.core import disk, shipped
 from manifold.core.errors import UsageError
-from manifold.core.judged_lights import BALL, BALL_COLUMN, LIGHTS
+from manifold.core.judged_lights import BALL, BALL_COLUMN, LIGHTS, light_in_words
 from manifold.core.metrics import Errors
 from manifold.core.progress import Stages
 from manifold.core.records import BsdfFile
+from manifold.estimate.inputs import find_inputs
 from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource
 from manifold.fit import fit_samples, fits
 from manifold.fit.exports.direct import at_bounds, fit_target
@@ -40,17 +41,14 @@ from manifold.model.colours import ColourChoice
 from manifold.model.diagnostics import predict_and_diagnose
 from manifold.model.manifold import load_model
 from manifold.model.places import PlaceLike
-from manifold.pictures import figures, html_page
+from manifold.pictures import export_sheet, figures, html_page
 from manifold.pictures import fit_comparison as comparison
 from manifold.pictures.slice_figures import ShownBRDF
 from manifold.registries import TARGETS
-from manifold.render import fit_json, images
+from manifold.render import fit_json
 from manifold.render.fitted_brdf import FittedBRDF
 
 _PACK_PAGE, _PACK_BALLS = "index.html", "balls"  # page of a pack, and the folder of its pictures
-_PACK_PIXELS, _PACK_SUN_DEG = 64, 45.0
-# Rings and spokes of a ball in the studio: fewer leave streaks on matt materials.
-_PACK_RINGS, _PACK_SPOKES = 32, 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +170,9 @@ def export(
     `against` applies to sources, see `subject_of_source`.
 
     The target's own model is fitted to the material, from the parameters of `principled` on. Both are drawn to
-    `picture`, and balls of both in two lights to `balls`, by the worst implementation if there are several. `textures`
+    `picture`, and balls of both in two lights to `balls`, by the worst implementation if there are several. The
+    result also holds parameters and errors of the material for another target `beside`, if the file has them, and
+    the errors without a colour by the angle of view, if it has one. `textures`
     writes textures for the parameters that were found; None is one material everywhere.
     """
     target = target if isinstance(target, Target) else target_of(target, path)
@@ -193,10 +193,8 @@ def export(
     parameters = fit_target(target, start, subject.samples)
     other = None if target.beside is None else TARGETS[target.beside]
     beside = None if other is None else fit_target(other, other.parameters(principled), subject.samples)
-    models = {name: TargetBRDF(target, parameters, name) for name in target.implementations or [None]}
-    errors = {name: ball_errors(model, material) for name, model in models.items()}
-    worst = max(errors, key=lambda name: errors[name].ball)
-    model = models[worst]
+    exported = _Exported.of(target, parameters, material)
+    errors, worst, model = exported.each, exported.worst, exported.model
     made = Export(
         name=subject.name,
         target=target.name,
@@ -216,11 +214,18 @@ def export(
         drawn = f"exported: {target.name}" + (f", {worst}" if worst else "")
         sources = [ShownBRDF(subject.against, material), ShownBRDF(drawn, model)]
         comparison.picture_of_brdfs(subject.name, sources, picture)
+    content = made.to_json()
+    if other is not None and beside is not None:
+        of_other = _Exported.of(other, beside, material)
+        content["beside"] = {"target": other.name, "parameters": beside, "errors": of_other.errors.to_json()}
+    if target.curve and parameters[target.curve[0]]:
+        plain = _Exported.of(target, {**parameters, target.curve[0]: []}, material)
+        content["without_curve"] = plain.errors.to_json()
     if balls is not None:
-        _write_balls(balls, material, model)
+        _write_balls(balls, subject, content)
     notes = (*subject.notes, *([target.caveat] if target.caveat else []))
     if made.errors.ball > VISIBLE:
-        light = f"{made.errors.worst:.1f} in {made.errors.worst_light}"
+        light = f"{made.errors.worst:.1f} with the {light_in_words(made.errors.worst_light)}"
         away = f"{made.errors.ball:.1f} {BALL} from the {subject.against}"
         notes = (f"not a close fit: {away}, above {VISIBLE:g}; {light}", *notes)
         if (missed := missed_highlight(model, material)) is not None:
@@ -229,7 +234,35 @@ def export(
         notes = (f"at the end of the range: {', '.join(ends)}", *notes)
     if is_flattened:
         notes = (f"anisotropic, but {target.name} has no anisotropy: the same at all azimuths", *notes)
-    return Outcome(subject.name, path, subject, made.to_json(), notes=notes)
+    return Outcome(subject.name, path, subject, content, notes=notes)
+
+
+class _Exported(NamedTuple):
+    """A target's model with parameters: its errors by implementation, and the worst of them."""
+
+    each: dict[str | None, Errors[float]]
+    worst: str | None
+    model: TargetBRDF
+
+    @property
+    def errors(self) -> Errors[float]:
+        """Errors of the worst implementation."""
+        return self.each[self.worst]
+
+    @classmethod
+    def of(cls, target: Target, parameters: Mapping[str, Any], material: EvaluableBRDF) -> _Exported:
+        """Compare a target's model with a material."""
+        models = {name: TargetBRDF(target, parameters, name) for name in target.implementations or [None]}
+        each = {name: ball_errors(model, material) for name, model in models.items()}
+        worst = max(each, key=lambda name: each[name].ball)
+        return cls(each, worst, models[worst])
+
+
+def exported_model(content: Content) -> TargetBRDF:
+    """Return the model that a result of `export` describes, by its worst implementation."""
+    several = content.get("implementations") or {}
+    worst = max(several, key=lambda name: several[name]["ball"]) if several else None
+    return TargetBRDF(TARGETS[content["target"]], content["parameters"], worst)
 
 
 class ExportSource(NamedTuple):
@@ -266,8 +299,9 @@ def exports(
     conclude = partial(_write_index, target) if is_pack else None
     beside = partial(_pictures_of, target=target, with_pictures=with_pictures, is_pack=is_pack)
     return BatchCommand(
-        "exports", make, how, target.suffix, columns=columns, beside=beside, conclude=conclude
-    )
+        "exports", make, how, target.suffix, columns=columns, beside=beside, conclude=conclude,
+        is_shared=is_pack,
+    )  # fmt: skip
 
 
 def _ball_in(implementation: str, content: Content) -> float:
@@ -275,12 +309,16 @@ def _ball_in(implementation: str, content: Content) -> float:
     return ball
 
 
-def exports_of_many(targets: Sequence[Target]) -> BatchCommand[ExportSource]:
-    """Return the command that fits every material of `export_sources` once, and writes it for several targets."""
+def exports_of_many(targets: Sequence[Target], *, with_pictures: bool = False) -> BatchCommand[ExportSource]:
+    """Return the command that fits every material of `export_sources` once, and writes it for several targets.
+
+    Balls of each material and its exports are drawn into NAME.png.
+    """
     columns: dict[str, Callable[[Content], Any]] = {
         f"{BALL_COLUMN}, {target.name}": partial(_ball_of, target.name) for target in targets
     }
-    make, beside = partial(_export_many, targets=targets), partial(_files_beside, targets=targets)
+    make = partial(_export_many, targets=targets, with_pictures=with_pictures)
+    beside = partial(_files_beside, targets=targets, with_pictures=with_pictures)
     how = {"targets": [target.name for target in targets]}
     suffix = paths_for(Path(), "", targets)[0].name
     return BatchCommand("exports", make, how, suffix, columns=columns, beside=beside)
@@ -298,15 +336,27 @@ def paths_for(folder: Path, name: str, targets: Sequence[Target]) -> list[Path]:
     return [folder / f"{name}{mark}{suffix}" for mark, suffix in zip(marks, suffixes, strict=True)]
 
 
-def _files_beside(path: Path, content: Content, *, targets: Sequence[Target]) -> list[Path]:
-    """Return the files of all but the first target."""
+def _files_beside(
+    path: Path, content: Content, *, targets: Sequence[Target], with_pictures: bool
+) -> list[Path]:
+    """Return the files of all but the first target, and the picture."""
     name = path.name.removesuffix(paths_for(Path(), "", targets)[0].name)
-    return paths_for(path.parent, name, targets)[1:]
+    return [*paths_for(path.parent, name, targets)[1:], *[path.parent / f"{name}.png"] * with_pictures]
 
 
-def _export_many(source: ExportSource, path: Path, *, targets: Sequence[Target]) -> Content:
-    made = _write_all(source.read(), targets, [path, *_files_beside(path, {}, targets=targets)])
-    return {"targets": {target.name: one.content for target, one in zip(targets, made, strict=True)}}
+def _export_many(
+    source: ExportSource, path: Path, *, targets: Sequence[Target], with_pictures: bool
+) -> Content:
+    subject = source.read()
+    beside = _files_beside(path, {}, targets=targets, with_pictures=with_pictures)
+    made = _write_all(subject, targets, [path, *beside[: len(targets) - 1]])
+    if with_pictures:
+        _write_balls(beside[-1], subject, *(one.content or {} for one in made))
+    notes = [
+        f"{target.name}: {note}" for target, one in zip(targets, made, strict=True) for note in one.notes
+    ]
+    contents = {target.name: one.content for target, one in zip(targets, made, strict=True)}
+    return {"targets": contents, "notes": notes}
 
 
 def _write_all(subject: Subject, targets: Sequence[Target], paths: Sequence[Path]) -> list[Outcome[Subject]]:
@@ -314,17 +364,22 @@ def _write_all(subject: Subject, targets: Sequence[Target], paths: Sequence[Path
 
 
 def export_many(
-    material: MaterialSource, targets: Sequence[Target], folder: Path, name: str, *, against: Path | None = None
+    material: MaterialSource, targets: Sequence[Target], folder: Path, name: str, *, against: Path | None = None,
+    picture: Path | None = None,
 ) -> list[Outcome[Subject]]:  # fmt: skip
     """Fit a material once, and write it for several targets into a folder, which is made if missing.
 
-    `against` is as in `subject_of_source`.
+    `against` is as in `subject_of_source`; `picture` shows balls of the material and all exports.
     """
     folder.mkdir(parents=True, exist_ok=True)
     paths = paths_for(folder, name, targets)
     for path in paths:
         disk.require_writable(path)
-    return _write_all(subject_of_source(material, against), targets, paths)
+    subject = subject_of_source(material, against)
+    made = _write_all(subject, targets, paths)
+    if picture is not None:
+        _write_balls(picture, subject, *(one.content or {} for one in made))
+    return made
 
 
 def _pictures_of(
@@ -345,27 +400,23 @@ def _write_index(target: Target, made: Batch[ExportSource]) -> None:
             picture = f"{_PACK_BALLS}/{one.name}.png"
             cards.append(html_page.card(picture, f"balls of {one.name}", one.path.name, one.name, words))
     intro = (
-        "Each picture: measured, exported; measured, exported. Left in the studio, right under a sun "
-        f"{_PACK_SUN_DEG:.0f} degrees beside the view. CIEDE2000 of the ball between the two, in the mean of "
-        f"{LIGHTS} that the fit did not use, and in the worst."
+        "Each picture: left the material, right its export; above in the studio, below under a sun "
+        f"{export_sheet.SUN_DEG:.0f} degrees beside the view. CIEDE2000 of the ball between the two, in the mean of "
+        f"{LIGHTS} that the fit did not use, and in the worst (sun N: a sun N degrees beside the view)."
     )
-    title = f"{len(cards)} measured materials for {target.title}"
-    html_page.write(made.folder / _PACK_PAGE, title, intro, f"<main>{''.join(cards)}</main>")
+    failed = [f"{one.name}: {one.failure}" for one in made.outcomes if one.failure is not None]
+    body = f"<main>{''.join(cards)}</main>" + html_page.Section("Not exported", notes=failed).html()
+    html_page.write(made.folder / _PACK_PAGE, f"{len(cards)} materials for {target.title}", intro, body)
 
 
-def _write_balls(path: Path, material: EvaluableBRDF, exported: EvaluableBRDF) -> None:
-    """Draw four balls side by side: the material and its export in the studio, then both under a sun."""
-    parts = []
-    draws = (
-        partial(ball_image, size=_PACK_PIXELS, rings=_PACK_RINGS, spokes=_PACK_SPOKES),
-        partial(sun_image, size=_PACK_PIXELS, degrees=_PACK_SUN_DEG),
-    )
-    for draw in draws:
-        for brdf in (material, exported):
-            shown, inside = draw(brdf)
-            parts.append(np.where(inside[..., None], shown, 0.12))
+def _write_balls(path: Path, subject: Subject, *exports: Content) -> None:
+    """Draw balls of a material and of its exports in two lights, with their differences."""
+    columns = [export_sheet.SheetColumn(subject.against, subject.truth)]
+    for content in exports:
+        words = f"CIEDE2000 {content['errors']['ball']:.1f}"
+        columns.append(export_sheet.SheetColumn(content["target"], exported_model(content), words))
     path.parent.mkdir(parents=True, exist_ok=True)
-    images.write_display(path, np.concatenate(parts, axis=1))
+    export_sheet.draw(subject.name, columns, path)
 
 
 def _export(
@@ -374,7 +425,20 @@ def _export(
     picture = path.with_suffix(".png") if with_pictures else None
     balls = path.parent / _PACK_BALLS / f"{source.name}.png" if is_pack else None
     made = export(source.read(), target, path, picture=picture, balls=balls)
-    return made.content or {}
+    return (made.content or {}) | {"notes": list(made.notes)}
+
+
+def all_sources(materials: Sequence[MaterialSource]) -> list[ExportSource]:
+    """Return the materials of several sources, those of folders and libraries among them, unread."""
+    found: list[ExportSource] = []
+    for material in materials:
+        if isinstance(material, FileSource) and (material.path.is_dir() or is_library(material.path)):
+            found += export_sources(material.path)
+        else:
+            (one,) = find_inputs([material])
+            identity = json.dumps(one.made_of(), sort_keys=True)
+            found.append(ExportSource(one.name, identity, partial(subject_of_source, material, None)))
+    return found
 
 
 def export_sources(source: Path) -> list[ExportSource]:

@@ -109,6 +109,7 @@ class BatchCommand(Generic[S]):
         beside: function that names the other files of an output, except its balls; it must be picklable.
         prepare: called once in this process before it makes an output.
         conclude: called at the end with the outputs that were made.
+        is_shared: whether the folder is to be given to others: without index and lock when all outputs are made.
     """
 
     what: str
@@ -123,6 +124,7 @@ class BatchCommand(Generic[S]):
     beside: Beside | None = None
     prepare: Callable[[], None] | None = None
     conclude: Callable[[Batch[S]], None] | None = None
+    is_shared: bool = False
 
 
 def batch(
@@ -166,6 +168,9 @@ def batch(
             progress.report(done, len(todo), source.name)
     if command.conclude is not None:
         command.conclude(made)
+    if command.is_shared and not any(outcome.failure for outcome in made.outcomes):
+        for left in (lock_of(folder), index_of(folder, command.what)):
+            left.unlink(missing_ok=True)
     return made
 
 
@@ -406,11 +411,21 @@ def make_folder(folder: Path, what: str) -> None:
         raise UsageError(f"{folder}: {reason}, expected a folder for {what}; name another") from error
 
 
+def lock_of(folder: Path) -> Path:
+    """Return the lock of a folder that a run writes to."""
+    return folder / ".manifold.lock"
+
+
+def index_of(folder: Path, what: str) -> Path:
+    """Return the index of a folder's outputs."""
+    return folder / f"{what}.jsonl"
+
+
 @contextmanager
 def only_run_in(folder: Path, what: str) -> Iterator[None]:
     """Make a folder and hold its lock, so that the results of two runs are not mixed."""
     make_folder(folder, what)
-    lock = FileLock(folder / ".manifold.lock")
+    lock = FileLock(lock_of(folder))
     disk.require_lockable(Path(lock.lock_file))
     try:
         lock.acquire(blocking=False)
@@ -435,7 +450,7 @@ class OutputIndex:
     """
 
     def __init__(self, folder: Path, what: str) -> None:
-        self._path = folder / f"{what}.jsonl"
+        self._path = index_of(folder, what)
         self._entries: dict[str, Any] = {}
         if not self._path.is_file():
             return

@@ -33,7 +33,7 @@ def fit_picture(
     upper, lower = parts
     axes = upper.subplots(1, 4)
     for axis, picture, source in zip(axes, balls, sources, strict=False):
-        axis.imshow(np.clip(picture, 0.0, 1.0), interpolation="nearest")
+        axis.imshow(np.clip(picture, 0.0, 1.0), interpolation="antialiased")
         axis.set_title(in_lines(source.label, 32), fontsize=10)
     maps = (
         (delta_e, LARGEST_DELTA_E, f"CIEDE2000 ({light}), mean {delta_e[inside].mean():.2f}"),

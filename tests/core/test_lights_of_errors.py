@@ -61,5 +61,5 @@ def test_the_mean_is_of_five_lights():
     assert NUMBER == "five lights"
     assert all(NUMBER in words for words in (BALL, BALL_COLUMN))
     errors = Errors.of_lights({"studio 0": 1.0, "sun 45": 3.0}, 2.0)
-    assert str(errors) == "2.00 (mean of five lights), worst 3.00 (sun 45)"
-    assert errors.words == [f"2.0 {BALL}", "3.0 in the worst light (sun 45)"]
+    assert str(errors) == "2.00 (mean of five lights), worst 3.00 (sun 45 degrees from the view)"
+    assert errors.words == [f"2.0 {BALL}", "3.0 in the worst light (sun 45 degrees from the view)"]

@@ -20,6 +20,7 @@ from manifold.fit.principled import fit_bsdf
 from manifold.io_rgl import write_bsdf
 from manifold.many.batch import batch
 from manifold.model.manifold import Manifold
+from manifold.pictures import export_sheet
 from manifold.pictures import fit_comparison as comparison
 from manifold.registries import TARGETS
 from manifold.render import fit_json
@@ -186,8 +187,8 @@ def fitted_as_copper(monkeypatch, folder):
 def test_a_pack_has_a_page_of_balls_with_differences(tmp_path, monkeypatch, folder):
     library = small_library(tmp_path, names=NAMES[:2])
     fitted_as_copper(monkeypatch, folder)
-    monkeypatch.setattr(exporting, "_PACK_RINGS", 12)
-    monkeypatch.setattr(exporting, "_PACK_SPOKES", 8)
+    monkeypatch.setattr(export_sheet, "_RINGS", 12)
+    monkeypatch.setattr(export_sheet, "_SPOKES", 8)
     out = tmp_path / "pack"
     result = run("export", library, "--pack", out, "--json", tmp_path / "r.json")
     assert result.exit_code == 0, result.output
@@ -196,7 +197,27 @@ def test_a_pack_has_a_page_of_balls_with_differences(tmp_path, monkeypatch, fold
         name, errors = made["material"], made["errors"]
         assert f'<a href="{name}.glb">{name}</a>' in page
         assert f"{errors['ball']:.1f}, in {errors['worst_light']} {errors['worst']:.1f}" in page
-        assert imread(out / "balls" / f"{name}.png").shape[:2] == (64, 256)
+        assert min(imread(out / "balls" / f"{name}.png").shape[:2]) > 300
+    assert not (out / "exports.jsonl").exists()
+    assert not (out / ".manifold.lock").exists()
+    rows = (out / "exports.csv").read_text()
+    assert ("not a close fit" in rows) == any(
+        made["notes"] for made in json.loads((tmp_path / "r.json").read_text())["exports"]
+    )
+
+
+def test_a_page_of_a_pack_names_what_failed_and_keeps_its_index(folder, tmp_path):
+    source, out = tmp_path / "source", tmp_path / "out"
+    source.mkdir()
+    shutil.copy(folder / "copper_rgb.fit.json", source / "copper.fit.json")
+    (source / "broken.fit.json").write_text("{}")
+    result = run("export", source, "--pack", out)
+    assert result.exit_code != 0
+    page = (out / "index.html").read_text()
+    assert "1 materials for" in page
+    assert "Not exported" in page
+    assert "broken" in page
+    assert (out / "exports.jsonl").exists()
 
 
 def test_a_pack_of_one_material_is_refused(folder, tmp_path):
@@ -294,7 +315,7 @@ def test_a_folder_is_exported_for_several_targets_once(folder, tmp_path, monkeyp
     [
         (["--target", "gltf,usd", "-o", "x.glb"], "expected a folder for the files of several targets"),
         (["--target", "gltf,obj"], "no target is called 'obj'"),
-        (["--target", "gltf,usd", "--picture"], "--picture and --pack go with one target, found gltf,usd"),
+        (["--target", "gltf,usd", "--pack", "pack"], "--pack goes with one target, found gltf,usd"),
     ],
 )
 def test_several_targets_need_a_folder_and_names_of_targets(folder, tmp_path, monkeypatch, words, expected):
@@ -302,6 +323,35 @@ def test_several_targets_need_a_folder_and_names_of_targets(folder, tmp_path, mo
     result = run("export", folder / "copper_rgb.fit.json", *words)
     assert isinstance(result.exception, ManifoldError), result.output
     assert expected in str(result.exception)
+
+
+def test_several_files_or_a_pattern_are_exported_into_a_folder(folder, tmp_path, monkeypatch):
+    """Only the first match was exported, without a word."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("a1", "a2"):
+        shutil.copy(folder / "copper_rgb.fit.json", f"{name}.fit.json")
+    for given in (["a*.fit.json"], ["a1.fit.json", "a2.fit.json"]):
+        result = run("export", *given, "--target", "unity", "-o", "out")
+        assert result.exit_code == 0, result.output
+        assert {path.name for path in (tmp_path / "out").glob("a*")} == {"a1.json", "a2.json"}
+    result = run("export", "a1.fit.json", "--target", "unity")
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "a1_unity.json").exists()  # a1.json may be another command's
+
+
+def test_several_targets_are_drawn_beside_the_material(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(export_sheet, "_RINGS", 6)
+    monkeypatch.setattr(export_sheet, "_SPOKES", 6)
+    words = ["export", folder / "copper_rgb.fit.json", "--target", "gltf,unity,usd-materialx", "--picture"]
+    result = run(*words, "-o", tmp_path, "--json", tmp_path / "r.json")
+    assert result.exit_code == 0, result.output
+    height, width = imread(tmp_path / "copper_rgb.png").shape[:2]
+    assert width > 1.5 * height
+    *_, usd = json.loads((tmp_path / "r.json").read_text())["exports"]
+    assert usd["beside"]["target"] == "openpbr"
+    assert usd["beside"]["errors"]["ball"] < usd["errors"]["ball"] + 1.0
+    assert "openpbr in the same file" in result.stdout
+    assert "_Anisotropy" not in result.stdout  # which is 0
 
 
 def test_openpbr_says_the_error_in_each_program_and_nothing_of_principled_s_notes(folder, tmp_path):

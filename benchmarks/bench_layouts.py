@@ -1,4 +1,4 @@
-"""Coherence and left-out errors of maps of a library: blends, the published GPLVM, principal components.
+"""Coherence and left-out errors of maps of a library: blends, GPLVMs, principal components.
 
     python benchmarks/bench_layouts.py LIBRARY [--json FILE]
 
@@ -26,9 +26,10 @@ from manifold.evaluate.report import tabulate_materials
 from manifold.library.store import Library
 from manifold.model.blending import inside_hull
 from manifold.model.coherence import LEAST_APART, most_similar
+from manifold.model.expected_error import coherence_of
 from manifold.model.manifold import Manifold
 from manifold.model.materials import MaterialTable
-from manifold.model.settings import BlendSettings
+from manifold.model.settings import BlendSettings, GplvmSettings
 
 PLACES = 1000  # drawn from the hull
 WAYS = {"quarter": 0.25, "half": 0.5, "three_quarters": 0.75}
@@ -80,9 +81,16 @@ def measure(library: Library, latent_dim: int) -> dict[str, Any]:
     data = tabulate_materials(model, materials)
     table = MaterialTable(materials, data.bands)
     row["ways"] = on_the_way(model, table)
-    maps, _ = coherences(model, data, table, is_published_shown=latent_dim == 2)
-    for title, c in maps.items():
-        row[KEYS.get(title.split()[0], "pca")] = {
+    is_plane = latent_dim == 2
+    maps, _ = coherences(model, data, table, is_published_shown=is_plane)
+    measured = {KEYS.get(title.split()[0], "pca"): coherence for title, coherence in maps.items()}
+    if is_plane:
+        letter = Manifold.fit(library, GplvmSettings.published(), calibrate=False)
+        of_letter, _ = coherence_of(letter.space, table, letter.mapping)
+        if of_letter is not None:
+            measured["letter"] = of_letter
+    for key, c in measured.items():
+        row[key] = {
             "detour": [c.detour, c.detour_p90], "far_percent": round(100.0 * c.detour_far),
             "kept_percent": round(100.0 * c.neighbours_kept),
         }  # fmt: skip

@@ -19,7 +19,6 @@ from manifold.model.latent_space import Embedded
 from manifold.model.materials import MaterialCache
 
 _COMPARED = 30  # samples that each sample is compared with
-_COORDINATES = 8  # of the search for them: 99 % of the ten most similar are found among 500
 _REPELLING = 1000  # number of samples that repel, at most
 _LIMITS = {"maxiter": 240, "maxfun": 360, "ftol": 1e-9, "gtol": 1e-7, "maxcor": 10}  # options of L-BFGS
 
@@ -66,9 +65,7 @@ def landmark_layout(
 
 def _similar(to_landmarks: Array, count: int) -> Indices:
     """Return the samples (N, count) whose distances from the landmarks, (N, M), are most like those of each."""
-    centred = to_landmarks - to_landmarks.mean(axis=0)
-    axes = np.linalg.eigh(centred.T @ centred)[1][:, : -_COORDINATES - 1 : -1]
-    found = scipy.spatial.KDTree(centred @ axes).query(centred @ axes, count + 1)[1]
+    found = scipy.spatial.KDTree(to_landmarks).query(to_landmarks, count + 1)[1]
     is_other = found != np.arange(len(found))[:, None]
     is_other[is_other.all(axis=1), -1] = False  # copies of the sample came first
     return np.asarray(found[is_other].reshape(len(found), count))

@@ -7,10 +7,10 @@ by 1.5: all numbers of a tuple or array together, the distance from 1 of a share
 numbers are rounded away from the old value. The figures of `constants_figures.py` whose code reads the constant are
 measured again, in a copy of this process, so that everything that the constant does not change is prepared once.
 
-Prints one row per constant: the largest change of each figure that reads it, in per cent. `fails` means that the
-program refuses one of the values. Constants that no figure reads are listed at the end: they belong to rare inputs, or
-to what is printed and drawn. Sizes of blocks, limits of input sizes, and facts of formats (`EXEMPT`) are left out. The
-whole table takes about 40 minutes of processor time.
+Prints one row per constant: the largest change of the numbers of each figure that reads it, in per cent, and that of
+their geometric mean at both values. `fails` means that the program refuses one of the values. Constants that no figure
+reads are listed at the end: they belong to rare inputs, or to what is printed and drawn. Sizes of blocks, limits of
+input sizes, and facts of formats (`EXEMPT`) are left out. The whole table takes about 40 minutes of processor time.
 """
 
 from __future__ import annotations
@@ -350,13 +350,17 @@ def figures() -> list[Figure]:
 # -- measurements -----------------------------------------------------------------------------------------------------
 
 
-def moved(figure: Figure, found: dict[str, float]) -> float:
-    """Return the largest relative change of a figure's numbers; changes of zeros count as they are."""
-    largest = 0.0
-    for key, before in figure.base.items():
-        change = abs(found[key] - before) / (abs(before) or 1.0)
-        largest = max(largest, change if np.isfinite(change) else np.inf)
-    return largest if largest > SAME else 0.0
+def moved(figure: Figure, found: dict[str, float]) -> list[float]:
+    """Return the largest relative change of a figure's numbers, and that of their geometric mean.
+
+    Changes of zeros count as they are, and are left out of the mean.
+    """
+    before, after = (np.array([numbers[key] for key in figure.base]) for numbers in (figure.base, found))
+    change = np.abs(after - before) / np.where(before == 0.0, 1.0, np.abs(before))
+    ratios = after[before * after > 0.0] / before[before * after > 0.0]
+    mean = float(np.expm1(np.mean(np.log(ratios)))) if len(ratios) else 0.0
+    largest = float(np.max(np.where(np.isfinite(change), change, np.inf)))
+    return [largest, mean] if largest > SAME else [0.0, 0.0]
 
 
 def in_copy(measure: Callable[[], Any]) -> Any:
@@ -382,23 +386,23 @@ def in_copy(measure: Callable[[], Any]) -> Any:
 
 def measure_constant(
     constant: Constant, patch: Patch, figures: Sequence[Figure], until: float
-) -> dict[str, list[float | str]]:
+) -> dict[str, list[list[float] | str]]:
     """Return how far each figure that reads a constant moves at its other values, or the refusal.
 
     After a change of `until`, relative, nothing further is measured.
     """
-    found: dict[str, list[float | str]] = {}
+    found: dict[str, list[list[float] | str]] = {}
     for figure in figures:
         for factor in FACTORS if figure.reads(constant, patch) else ():
 
-            def measure(figure: Figure = figure, factor: float = factor) -> float:
+            def measure(figure: Figure = figure, factor: float = factor) -> list[float]:
                 forget_cached()
                 patch.apply(constant, changed(constant.value, factor))
                 return moved(figure, figure.again(patch))
 
             change = in_copy(measure)
             found.setdefault(figure.name, []).append(change)
-            if not isinstance(change, str) and change >= until:
+            if not isinstance(change, str) and change[0] >= until:
                 return found
     return found
 
@@ -412,14 +416,15 @@ def chosen(found: list[Constant], names: Sequence[str]) -> list[Constant]:
     ]
 
 
-def row(constant: Constant, changes: dict[str, list[float | str]]) -> str:
+def row(constant: Constant, changes: dict[str, list[list[float] | str]]) -> str:
     """Return a line of the table."""
     cells = []
     for name, both in changes.items():
         numbers = [each for each in both if not isinstance(each, str)]
-        cells.append(f"{name} {100.0 * max(numbers):.2g}" if numbers else f"{name} fails")
+        means = "/".join(f"{100.0 * mean:.2g}" for _, mean in numbers)
+        cells.append(f"{name} {100.0 * max(numbers)[0]:.2g} ({means})" if numbers else f"{name} fails")
         if 0 < len(numbers) < len(both):
-            cells[-1] += " (fails)"
+            cells[-1] += " fails"
     text = str(constant.value).replace("\n", " ")
     return f"{constant!s:45} {text if len(text) < 24 else text[:21] + '...':24} {', '.join(cells)}"
 
@@ -443,7 +448,7 @@ def main() -> None:
     if given.list:
         print(*(f"{one!s:45} {one.value}" for one in found), sep="\n")
         return
-    table: dict[str, dict[str, list[float | str]]] = {}
+    table: dict[str, dict[str, list[list[float] | str]]] = {}
     if given.json and given.json.exists():
         table = json.loads(given.json.read_text(encoding="utf-8"))
     found = [constant for constant in found if str(constant) not in table]

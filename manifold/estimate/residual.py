@@ -16,6 +16,8 @@ from manifold.brdf.wrapper import WrappedBRDF
 from manifold.core.directions import half_vector
 from manifold.core.records import Array, Indices
 
+# Multiplied or divided by 1.5, _LENGTHS and _CELL change the geometric mean of errors of left-out completions by at
+# most 2 %, the other constants by at most 0.3 % (`tools/constants.py estimate.residual`).
 NOISE = 0.3
 """Variance of a reading's own part of the residual, over that of the part that neighbours share."""
 

@@ -321,11 +321,13 @@ def show_completed(
 def show_pictures(results: terminal.Results, made: Photographed) -> None:
     """Print a row for each picture."""
     results.text("\n")
+    is_found = any(ball.lamp_deg is not None for ball, _, _ in made.balls_with_residuals)
     results.table(
-        ("picture", "circle", "lamp", "residual", "predicted from the others"),
+        ("picture", "circle", "lamp", *["lamp +-"] * is_found, "residual", "predicted from the others"),
         [
             (
                 ball.photograph.path.name, str(ball.circle), " ".join(map(str, ball.lamps)) or "-",
+                *["-" if ball.lamp_deg is None else f"{ball.lamp_deg:.0f} degrees"] * is_found,
                 f"{100 * residual:.1f} %", "-" if predicted is None else f"{100 * predicted:.1f} %",
             )
             for ball, residual, predicted in made.balls_with_residuals

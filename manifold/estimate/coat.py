@@ -94,7 +94,7 @@ class Coated(Result):
         alpha, index: roughness and refractive index of the coat.
         lab: of the written file, (3,).
         gloss: of the written file, gloss units by angle in degrees.
-        expected: expected errors of what the colour and gloss leave open.
+        expected: expected errors of what the colour and gloss leave open, and of a colour that was not reached.
         plausibility: of the written file, read back.
         suggested: the readings to take next; None where none were asked for.
         diagnostics: what a user should know, in sentences.
@@ -133,9 +133,11 @@ class Coated(Result):
     )
     expected: Errors[float] = field(
         metadata=entry(
-            row="expected error", words=lambda result: tuple(result.expected.words), columns={EXPECTED_BALL: ("ball",)}
+            row="expected error",
+            words=lambda result: (*result.missed_in_words, *result.expected.words),
+            columns={EXPECTED_BALL: ("ball",)},
         )
-    )  # fmt: skip
+    )
     plausibility: Plausibility = field(metadata=entry(row="albedo", words="at most {.max_albedo:.2f}"))
     suggested: Suggested | None
 
@@ -147,6 +149,16 @@ class Coated(Result):
 
     diagnostics: tuple[str, ...] = field(metadata=entry())
     seconds: float = field(metadata=entry())
+
+    @property
+    def missed_in_words(self) -> list[str]:
+        """What was asked for and not reached, which is no part of errors measured where it is reached."""
+        off = [f"colour by CIEDE2000 {self.ciede2000:.1f}"] * (self.ciede2000 > COLOUR_TOLERANCE)
+        off += [
+            f"gloss at {angle:g} degrees ({self.gloss[angle]:.3g} instead of {asked:.3g})"
+            for angle, asked in missed_gloss(self.sample, self.gloss).items()
+        ]
+        return [f"not what was asked for: {', '.join(off)} missed"] if off else []
 
     @property
     @derived()
@@ -245,6 +257,9 @@ def complete(
         draw_ball(output, picture)
     brdf = coat if written.file is None else MeasuredBRDF(written.file)
     lab, gloss = lab_of(brdf), gloss_units(brdf)
+    off = float(delta_e_2000_lab(np.array(sample.lab), lab))
+    if off > COLOUR_TOLERANCE:
+        expected = expected.beside(Errors(ball=off))
     # The mixtures that explain colour and gloss differ most where the next readings decide between them.
     suggested = suggest(atoms, count, Completion.of(atoms, readings), instrument) if count else None
     return Coated(
@@ -254,14 +269,31 @@ def complete(
     )  # fmt: skip
 
 
-def _missed(sample: ColourSample, lab: Array, gloss: Mapping[float, float]) -> list[str]:
-    """Return sentences on the values that were not reached."""
-    notes = [
-        f"gloss at {angle:g} degrees: {gloss[angle]:.3g} reached, {asked:.3g} requested; no dielectric coat "
-        "of this colour "
-        "has it: metals have more, and --mixture looks among the library's materials"
+def missed_gloss(sample: ColourSample, gloss: Mapping[float, float]) -> dict[float, float]:
+    """Return the requested gloss units that were not reached, by angle in degrees."""
+    return {
+        angle: asked
         for angle, asked in sample.gloss.items()
         if abs(gloss[angle] - asked) > GLOSS_TOLERANCE * asked
+    }
+
+
+def _missed(sample: ColourSample, lab: Array, gloss: Mapping[float, float]) -> list[str]:
+    """Return sentences on the values that were not reached."""
+    missed = missed_gloss(sample, gloss)
+    is_more = [gloss[angle] > asked for angle, asked in missed.items()]
+    if any(is_more) and len(sample.gloss) > 1:
+        why = "no coat has all of these gloss values: they contradict each other"
+    elif any(is_more):
+        why = "every coat of this colour has more; --mixture looks among the library's materials"
+    else:
+        why = (
+            "no dielectric coat of this colour has it: metals have more, and --mixture looks among the library's "
+            "materials"
+        )
+    notes = [
+        f"gloss at {angle:g} degrees: {gloss[angle]:.3g} reached, {asked:.3g} requested; {why}"
+        for angle, asked in missed.items()
     ]
     difference = float(delta_e_2000_lab(np.array(sample.lab), lab))
     if difference > COLOUR_TOLERANCE:

@@ -556,7 +556,7 @@ class Completion:
         notes += self._differing_exposures()
         if self.is_brightness_guessed:
             notes.append(
-                "the exposure was estimated from how bright the library's materials are: lightness may be off by a "
+                "the exposure was estimated from how bright the library's materials are: luminance may be off by a "
                 "factor of two and more"
             )
         if self.solution.contradiction > CONTRADICTION:

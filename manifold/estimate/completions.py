@@ -425,6 +425,7 @@ def notes_of(completion: Completion, calibration: Calibration, balls: Sequence[S
     """Return sentences on contradictions, on what the observations leave open, and on assumptions about pictures."""
     of_some, of_all = _of_balls(balls)
     notes = (
+        *(warning for ball in balls for warning in ball.warnings),
         *odd_pictures([ball.photograph.path.name for ball in balls], completion.picture_errors),
         *calibration.notes(completion),
         *of_some,

@@ -61,6 +61,10 @@ class Lamp:
         at = ",".join(f"{v:.3f}" for v in self.direction)
         return at if np.isinf(self.distance) else f"{at},{self.distance:.3g}"
 
+    def degrees_from(self, other: Lamp) -> float:
+        """Return the angle between the directions of two lamps."""
+        return float(np.rad2deg(np.arccos(np.clip(self.direction @ other.direction, -1.0, 1.0))))
+
     @classmethod
     def towards(cls, vector: Array, distance: float = np.inf, colour: Array | None = None) -> Lamp:
         """Return a lamp in a direction (3,) of any length."""

@@ -134,7 +134,7 @@ def given_lamp_notes(photograph: Photograph, circle: Circle, lamp: Lamp) -> tupl
         seen = pixels.probe(fit, [photograph])
     except UsageError:
         return ()
-    apart = float(np.rad2deg(np.arccos(np.clip(seen.lamps[0].direction @ lamp.direction, -1.0, 1.0))))
+    apart = seen.lamps[0].degrees_from(lamp)
     if apart <= max(_DOUBTED_DEG, 3.0 * seen.lamp_deg[0]):
         return ()
     return (
@@ -143,25 +143,29 @@ def given_lamp_notes(photograph: Photograph, circle: Circle, lamp: Lamp) -> tupl
     )
 
 
-def encoding_notes(photographs: Sequence[Photograph], probe: Probe) -> tuple[str, ...]:
+def doubt_encoding(photographs: Sequence[Photograph], probe: Probe) -> tuple[Probe, tuple[str, ...]]:
     """Return a doubt about photographs that were decoded as sRGB if one lamp explains their codes as linear values.
 
-    These have to be explained well, and clearly better than those of the probe.
+    These have to be explained well, and clearly better than those of the probe, whose lamps are then as uncertain as
+    the lamps of the codes are far from them.
     """
     if not all(one.is_encoded for one in photographs):
-        return ()
+        return probe, ()
     chosen = evenly_spaced(len(photographs), _OF_ENCODING).tolist()
     codes = [replace(one, values=encode_srgb(one.values)) for one in (photographs[k] for k in chosen)]
     try:
         of_codes = find_light(codes, probe.circle, probe.lamps[0].distance)
     except UsageError:
-        return ()
+        return probe, ()
     linear = float(np.mean(of_codes.residual))
     residual = float(np.mean([probe.residual[k] for k in chosen]))
     least = _CLEARLY if len(chosen) >= _OF_ENCODING else _CLEARLY_OF_FEW
     if linear > _LINEAR_RESIDUAL or residual < least * linear:
-        return ()
-    return (
+        return probe, ()
+    between = [one.degrees_from(probe.lamps[k]) for one, k in zip(of_codes.lamps, chosen, strict=True)]
+    apart = [between[chosen.index(k)] if k in chosen else max(between) for k in range(len(photographs))]
+    wider = tuple(float(np.hypot(off, more)) for off, more in zip(probe.lamp_deg, apart, strict=True))
+    return replace(probe, lamp_deg=wider), (
         f"the pictures were read as sRGB, and one lamp explains the ball to {percent(residual, 1)}; read as linear, to "
         f"{percent(linear, 1)}: if their values are linear, add --linear, else the lamps are wrong",
     )

@@ -14,7 +14,7 @@ import numpy as np
 from manifold.colour.lights import ENVIRONMENTS, environment
 from manifold.colour.picture_files import read_picture
 from manifold.core.errors import UsageError
-from manifold.core.names import percent
+from manifold.core.names import counted, percent
 from manifold.core.records import Array, Mask
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.lamps import (
@@ -26,7 +26,7 @@ from manifold.estimate.lamps import (
     parse_lamp,
     unwrapped,
 )
-from manifold.estimate.light_probe import encoding_notes, find_light, given_lamp_notes
+from manifold.estimate.light_probe import doubt_encoding, find_light, given_lamp_notes
 from manifold.estimate.outlines import (
     Circle,
     Cylinder,
@@ -48,6 +48,9 @@ from manifold.estimate.pixels import (
 from manifold.model.estimator import Observation
 
 _BRIGHT = 0.9  # share of a light's largest value; most pixels above it are clipped where the camera clipped
+_MOST_BRIGHT = (
+    1.2  # a perfect diffuser has 1 where it faces the lamp, so that a quarter of its ball has at most 0.9
+)
 _LEAST_COSINE = 0.05  # least cosine of a grey card's angle to its lamp
 _HIGHLIGHT_DEG = 15.0  # largest angle of a highlight's half vector from the normal
 _DIFFERENCES_DEG = np.arange(0.0, 91.0, 15.0)  # edges of bins of angles between directions and half vector
@@ -140,6 +143,8 @@ class SeenBall:
     Attributes:
         light: linear radiance, shape (H, W, 3); None of lamps.
         notes: assumptions about the files of both, in sentences.
+        warnings: sentences that come before all others: why the estimate is likely wrong.
+        lamp_deg: standard deviation of the direction of an estimated lamp, in degrees; None of others.
     """
 
     photograph: Photograph
@@ -147,6 +152,8 @@ class SeenBall:
     light: Array | None
     sighting: Sighting
     notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    lamp_deg: float | None = None
 
     @property
     def lamps(self) -> tuple[Lamp, ...]:
@@ -207,7 +214,8 @@ def _under_lamps(
     request: PhotoRequest, photographs: Sequence[Photograph], circles: Sequence[str]
 ) -> list[SeenBall]:
     """Return balls under lamps that are given or estimated."""
-    camera, notes = Camera(distance=request.distance), tuple[str, ...]()
+    camera, notes, warnings = Camera(distance=request.distance), tuple[str, ...](), tuple[str, ...]()
+    uncertain: Sequence[float | None] = [None] * len(photographs)
     if request.elevation_deg or any(request.turns_deg):
         raise UsageError("--turn and --elevation go with --light; lamps are in the camera's frame")
     is_common = len(set(circles)) == 1 and len({one.values.shape for one in photographs}) == 1
@@ -216,7 +224,8 @@ def _under_lamps(
             raise UsageError("different circles, expected one for all photographs to find their lamps")
         given_circle = _outline_of(photographs, circles[0])[0] if circles[0] else None
         probe = find_light(photographs, given_circle, apart)
-        lamps, notes = list(probe.lamps), probe.notes + encoding_notes(photographs, probe)
+        probe, warnings = doubt_encoding(photographs, probe)
+        lamps, notes, uncertain = list(probe.lamps), probe.notes, probe.lamp_deg
         outlines = [(probe.circle, tuple[str, ...]())] * len(photographs)
     else:
         names = [path.name for path in request.photographs]
@@ -232,8 +241,11 @@ def _under_lamps(
             "white, or give a grey card (--grey)",
         )
     balls = []
-    for photograph, lamp, (circle, doubts) in zip(photographs, lamps, outlines, strict=True):
-        seen = photograph if request.grey is None else _balanced(photograph, request.grey, lamp)
+    for photograph, lamp, off, (circle, doubts) in zip(photographs, lamps, uncertain, outlines, strict=True):
+        seen = photograph
+        if request.grey is not None:
+            seen = _balanced(photograph, request.grey, lamp)
+            _require_possible(seen, circle, request.grey)
         sighting = Sighting(blocks_of(seen, circle, len(photographs)), camera, (lamp,))
         own = photograph.notes + notes + doubts
         if apart is None and not isinstance(circle, Cylinder):
@@ -243,7 +255,7 @@ def _under_lamps(
                 f"{photograph.path}: a lamp at {lamp} lights no part of the ball that the camera sees, expected one in "
                 "front of it: x to the right, y up, z to the camera"
             )
-        balls.append(SeenBall(seen, circle, None, sighting, own))
+        balls.append(SeenBall(seen, circle, None, sighting, own, warnings, off))
     return balls
 
 
@@ -287,6 +299,23 @@ def _balanced(photograph: Photograph, grey: str, lamp: Lamp) -> Photograph:
     return replace(photograph, values=photograph.values * (reflectance * cosine / mean).astype(np.float32))
 
 
+def _require_possible(balanced: Photograph, circle: Circle, grey: str) -> None:
+    """Raise UsageError where a grey card makes a ball brighter than any material under the lamp."""
+    if isinstance(circle, Cylinder):
+        return
+    rows, columns = (np.arange(n) + 0.5 for n in balanced.values.shape[:2])
+    right, up = np.meshgrid((columns - circle.x) / circle.radius, (circle.y - rows) / circle.radius)
+    bright = balanced.values[circle.contains(right, up, 0.9)].mean(axis=1)
+    bright = bright[np.isfinite(bright)]
+    level = float(np.quantile(bright, 0.75)) if len(bright) else 0.0
+    if level > _MOST_BRIGHT:
+        raise UsageError(
+            f"{balanced.path}: by the card at {grey} a quarter of the ball is more than {level:.1f} times as bright as "
+            "a white surface that faces the lamp, which no material is; expected a card that the same lamp lights, "
+            "not the background or a shadow, and its reflectance"
+        )
+
+
 def _without_dark(photographs: Sequence[Photograph], dark: Photograph) -> list[Photograph]:
     """Subtract a photograph that was taken without light."""
     if any(one.values.shape != dark.values.shape for one in photographs):
@@ -317,7 +346,9 @@ def _with_doubts(balls: Sequence[SeenBall], given: Sequence[str]) -> tuple[SeenB
 
 def _for_each(n: int, values: Sequence[Any], what: str) -> list[Any]:
     if len(values) not in (1, n):
-        raise UsageError(f"{len(values)} {what} for {n} photographs, expected one, or one for each")
+        raise UsageError(
+            f"{len(values)} {what} for {counted(n, 'photograph')}, expected one, or one for each"
+        )
     return list(values) * (n if len(values) == 1 else 1)
 
 
@@ -380,12 +411,14 @@ def unlit(sightings: Sequence[Sighting]) -> tuple[str, ...]:
     dark: Mask = most < _UNLIT
     if not dark.any():
         return ()
-    ranges = [
-        f"{low:.0f} to {high:.0f}"
-        for (low, high), is_dark in zip(pairwise(_DIFFERENCES_DEG), dark, strict=True)
-        if is_dark
-    ]
+    ranges: list[list[float]] = []
+    for (low, high), is_dark in zip(pairwise(_DIFFERENCES_DEG), dark, strict=True):
+        if is_dark and ranges and ranges[-1][1] == low:
+            ranges[-1][1] = high
+        elif is_dark:
+            ranges.append([low, high])
+    words = " and ".join(f"{low:.0f} to {high:.0f}" for low, high in ranges)
     return (
-        f"no lamp shows highlights at incidences of {', '.join(ranges)} degrees: highlights there follow the "
+        f"no lamp shows highlights at incidences of {words} degrees: highlights there follow the "
         "library's materials",
     )

@@ -40,7 +40,7 @@ export const documents = {
     return {
       library: data.library, latent: isBetween(look) ? null : look.x, material: look.at ?? null, path: isBetween(look) ? look.path : null,
       colour: this.choice(look), weights, [data.error?.what ?? "uncertainty"]: error,
-      unit: data.error?.unit ?? null, "given colour": !this.hasBlendedColour(look),
+      unit: data.error?.unit ?? null, "its colour not given": error === 0 ? null : this.unknownError(look),
       diagnostics: this.diagnostics(look, prediction),
     };
   },

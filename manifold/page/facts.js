@@ -11,14 +11,20 @@ const ANISOTROPIC = 0.01; // share of anisotropic materials
 const RESIDUAL = 0.02, UNMEASURED = 0.01; // as in manifold/model/diagnostics.py
 
 export const facts = {
-  /** Expected error of a look, 0 of a material in its own colours; null where it is unknown. */
+  /** Expected error of a look in its colours, 0 of a material in its own; null where it is unknown. */
   error(look = this.state) {
     const { x, colour, guest, like, without } = look, { error, names } = this.data;
     if (without || isBetween(look)) return null;
     if (colour === "own") return this.guests[guest].expected?.ball ?? null;
     const material = this.materials.materialAt(x);
     if (material >= 0 && (colour === "blend" || (colour === "like" && like === names[material]))) return 0;
-    return fieldAt(error && { ...error, values: this.hasBlendedColour(look) ? error.blended : error.values }, x);
+    return fieldAt(error, x);
+  },
+
+  /** Expected error of a material that is located at a look's place and whose colour is not given; null if the look's colour is chosen. */
+  unknownError(look = this.state) {
+    const { error } = this.data;
+    return this.hasBlendedColour(look) ? fieldAt({ ...error, values: error.blended }, look.x) : null;
   },
 
   /** Whether colours are blended from the surrounding materials, and errors larger than of a known colour. */
@@ -66,9 +72,9 @@ export const facts = {
 
   errorText(error) {
     if (error === 0) return "none, because a measured material lies there";
-    const { unit } = this.data.error ?? {}, digits = unit?.startsWith("CIE") ? 1 : 2, text = `${error.toFixed(digits)} (${unit})`;
-    if (!this.hasBlendedColour()) return text;
-    return `${text} of an unknown material located here, its colour not given; ${fieldAt(this.data.error, this.state.x).toFixed(digits)} in a given colour`;
+    const { unit } = this.data.error ?? {}, digits = unit?.startsWith("CIE") ? 1 : 2, unknown = this.unknownError();
+    const other = unknown === null ? "" : `, of a material of this colour; ${unknown.toFixed(digits)} of one located here, its colour not given`;
+    return `${error.toFixed(digits)} (${unit})${other}`;
   },
 
   showFacts() {
@@ -78,7 +84,7 @@ export const facts = {
       : data.error ? "outside the map" : "not computed above three dimensions";
     this.byId("error-value").textContent = error === null ? beyond : this.errorText(error);
     const found = this.diagnostics();
-    this.byId("diagnostics").replaceChildren(...(found.length ? found : ["none"]).map((text) => {
+    this.byId("diagnostics").replaceChildren(...(found.length ? found : ["none; writing a file also checks that it is reciprocal"]).map((text) => {
       const item = document.createElement("li");
       item.textContent = text;
       if (found.length) item.className = "warning";

@@ -5,12 +5,14 @@ import { reachOf, within } from "./numerics.js";
 
 const VIEWS = ["wipe", "beside", "difference"]; // of what is pinned and what is shown
 
-/** The state at the start: the first surface, if any; else the middle of the map. */
+/** The state at the start: the first surface, if any; else the material nearest to the middle of the map. */
 export function initialState(data) {
   const Q = data.X[0].length;
   const middle = Array.from({ length: Q }, (_, q) => data.X.reduce((s, row) => s + row[q], 0) / data.X.length);
+  const away = (row) => Math.hypot(...row.map((v, q) => v - middle[q]));
+  const start = data.X.reduce((best, row) => (away(row) < away(best) ? row : best));
   return {
-    x: middle, colour: "blend", guest: null, ...surfaceLook(0, data), like: data.names[0], srgb: "#c08040", spectrum: null, lch: null, path: null,
+    x: [...start], colour: "blend", guest: null, ...surfaceLook(0, data), like: data.names[0], srgb: "#c08040", spectrum: null, lch: null, path: null,
     without: false, // the material of the place, which others predict
     light: "studio", turn: 0, lamp: [-0.4, 0.5], shape: "ball", turnShape: 30, illuminant: "D65", exposure: 0, pin: null, view: "wipe", wipe: 0.5,
     variants: [],

@@ -16,7 +16,9 @@ from manifold.colour.difference import lab_under_d65
 from manifold.colour.narrow_bands import in_daylight
 from manifold.core.directions import from_spherical
 from manifold.core.errors import ManifoldError, UsageError
+from manifold.core.metrics import Errors
 from manifold.core.records import Bands
+from manifold.estimate import coat
 from manifold.estimate.attributes import (
     COLOUR_TOLERANCE,
     GLOSS_TOLERANCE,
@@ -28,7 +30,7 @@ from manifold.estimate.attributes import (
     find,
     lab_of,
 )
-from manifold.estimate.coat import read_colours, with_gloss
+from manifold.estimate.coat import ColourSample, read_colours, with_gloss
 from manifold.estimate.edits import own_values
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.predictions import predict
@@ -308,6 +310,45 @@ def test_gloss_that_no_dielectric_has_is_said(run, model, tmp_path):
     (note,) = json.loads(out)["diagnostics"]
     assert note.startswith("gloss at 20 degrees")
     assert "900 requested" in note
+
+
+@pytest.mark.parametrize(
+    ("asked", "why", "missed"),
+    [
+        ({20.0: 90.0, 60.0: 20.0}, "contradict each other", "gloss at 20 degrees (41 instead of 90)"),
+        ({60.0: 0.02}, "every coat of this colour has more", "gloss at 60 degrees (0.5 instead of 0.02)"),
+        ({20.0: 900.0}, "metals have more", "gloss at 20 degrees (200 instead of 900)"),
+    ],
+)
+def test_a_missed_request_is_part_of_the_expected_error(asked, why, missed, tmp_path):
+    reached = {20.0: 41.0, 60.0: 76.0} if len(asked) > 1 else {60.0: 0.5, 20.0: 200.0}
+    sample = ColourSample("red", (40.0, 50.0, 30.0), asked)
+    assert all(why in note for note in coat._missed(sample, np.array(sample.lab), reached))
+    made = coat.Coated(
+        tmp_path,
+        sample,
+        0.1,
+        1.5,
+        np.array([44.0, 50.0, 30.0]),
+        reached,
+        Errors(ball=8.0),
+        None,
+        None,
+        (),
+        0.0,
+    )
+    first, *_ = made.rows["expected error"]
+    assert first.startswith("not what was asked for: colour by CIEDE2000 3.6")
+    assert missed in first
+
+
+def test_a_missed_colour_adds_to_the_expected_error(model, tmp_path):
+    made = [
+        coat.complete(model.library.path, ColourSample("blue", lab, {60.0: 30.0}), tmp_path / "blue.bsdf")
+        for lab in ((40.0, 10.0, -10.0), (40.0, 120.0, -120.0))
+    ]
+    assert made[0].ciede2000 < 1.0
+    assert made[1].expected.ball == pytest.approx(np.hypot(made[0].expected.ball, made[1].ciede2000))
 
 
 def test_a_list_of_colours_makes_a_folder(run, model, tmp_path):

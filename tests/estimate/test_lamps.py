@@ -29,7 +29,7 @@ from manifold.estimate.lamps import (
     read_lamps,
     unwrapped,
 )
-from manifold.estimate.light_probe import edges_on_limb, encoding_notes, find_light, given_lamp_notes
+from manifold.estimate.light_probe import doubt_encoding, edges_on_limb, find_light, given_lamp_notes
 from manifold.estimate.outlines import Circle, Cylinder, Photograph, given_outline_notes, outlines_in
 from manifold.estimate.pixels import Camera, Environment, block_sums, blocks_of
 from manifold.estimate.sightings import PhotoRequest, SeenBall, Sighting, see
@@ -134,9 +134,20 @@ def test_linear_pictures_that_are_read_as_srgb_are_noted(brdf):
     for codes_of, is_noted in ((lambda values: values, True), (encode_srgb, False)):
         pictures = [stored(brdf, direction, codes_of) for direction in DIRECTIONS]
         probe = find_light(pictures)
-        notes = encoding_notes(pictures, probe)
+        wider, notes = doubt_encoding(pictures, probe)
         assert any("add --linear" in note for note in notes) == is_noted
-        assert encoding_notes([replace(one, is_encoded=False) for one in pictures], probe) == ()
+        assert np.all(np.array(wider.lamp_deg) >= probe.lamp_deg)
+        if is_noted:
+            off = np.rad2deg(
+                np.arccos(
+                    [
+                        lamp.direction @ direction / np.linalg.norm(direction)
+                        for lamp, direction in zip(wider.lamps, DIRECTIONS, strict=True)
+                    ]
+                )
+            )
+            assert np.sqrt(np.mean((off / wider.lamp_deg) ** 2)) < 2.0
+        assert doubt_encoding([replace(one, is_encoded=False) for one in pictures], probe) == (probe, ())
 
 
 def test_of_many_pictures_some_say_all_but_the_lamps_of_the_others(monkeypatch):
@@ -252,6 +263,8 @@ def test_a_grey_card_gives_exposure_and_colour_of_the_lamp(tmp_path):
     circle, lamp = [str(CIRCLE)], ["0.5,0.4,0.8"]
     (ball,) = see(PhotoRequest([tmp_path / "ball.exr"], circles=circle, lamps=lamp, grey="1,1,8,8,0.18"))
     np.testing.assert_allclose(ball.photograph.values, picture, rtol=1e-3, atol=1e-5)
+    with pytest.raises(UsageError, match="times as bright as a white surface"):
+        see(PhotoRequest([tmp_path / "ball.exr"], circles=circle, lamps=lamp, grey="1,1,8,8,0.99"))
     with pytest.raises(UsageError, match="corner and size in pixels"):
         see(PhotoRequest([tmp_path / "ball.exr"], circles=circle, lamps=lamp, grey="1,1,800,8,0.18"))
 

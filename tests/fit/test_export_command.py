@@ -345,7 +345,7 @@ def test_several_targets_are_drawn_beside_the_material(folder, tmp_path, monkeyp
     words = ["export", folder / "copper_rgb.fit.json", "--target", "gltf,unity,usd-materialx", "--picture"]
     result = run(*words, "-o", tmp_path, "--json", tmp_path / "r.json")
     assert result.exit_code == 0, result.output
-    height, width = imread(tmp_path / "copper_rgb.png").shape[:2]
+    height, width = imread(tmp_path / "copper.png").shape[:2]
     assert width > 1.5 * height
     *_, usd = json.loads((tmp_path / "r.json").read_text())["exports"]
     assert usd["beside"]["target"] == "openpbr"

@@ -713,20 +713,25 @@ def located(model, name, **gain):
     }  # fmt: skip
 
 
+def test_the_page_opens_at_a_material(page, model):
+    page.evaluate("explorer.reset()")
+    settle(page)
+    assert page.locator("#error-value").inner_text() == "none, because a measured material lies there"
+
+
 def test_the_expected_error_is_that_of_the_colour_and_place_that_are_shown(page, model):
     x = (model.X.mean(axis=0) + 0.1).tolist()
     for change, is_known in (({"colour": "blend"}, False), ({"colour": "picked", "srgb": "#3366aa"}, True)):
         page.evaluate("(change) => window.explorer.change(change)", {"x": x, "path": None} | change)
         settle(page)
         text = page.locator("#error-value").inner_text()
-        expected = float(model.left_out.expected(np.array(x), is_colour_known=is_known).ball)
+        expected = float(model.left_out.expected(np.array(x)).ball)
         assert float(text.split()[0]) == pytest.approx(expected, rel=0.05)  # between nodes of the page's grid
         assert "(CIEDE2000 of the ball (mean of five lights)" in text
         assert ("its colour not given" in text) == (not is_known)
-        given = float(model.left_out.expected(np.array(x), is_colour_known=True).ball)
         if not is_known:
-            number = text.split("; ")[-1].removesuffix(" in a given colour")
-            assert float(number) == pytest.approx(given, rel=0.05)
+            unknown = float(model.left_out.expected(np.array(x), is_colour_known=False).ball)
+            assert float(text.partition("colour; ")[2].split()[0]) == pytest.approx(unknown, rel=0.05)
     walk = {"from": NAMES[0], "to": NAMES[3], "t": 0.5}
     page.evaluate("(change) => window.explorer.change(change)", {"colour": "blend", "path": walk})
     settle(page)

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from manifold.brdf.interface import EvaluableBRDF
+from manifold.brdf.interface import EvaluableBRDF, require_resolution
 from manifold.brdf.notebook import NotebookPicture
 from manifold.brdf.warp import Warp
 from manifold.core.compiled import loops
@@ -97,7 +97,13 @@ class MeasuredBRDF(NotebookPicture):
         return selected
 
     def turned(self, angle_rad: float) -> MeasuredBRDF:
-        """Return the BRDF turned about the normal by an azimuth in radians; tables are shared."""
+        """Return the BRDF turned about the normal by an azimuth in radians; tables are shared.
+
+        Raises:
+            UsageError: the azimuth is not finite.
+        """
+        if not math.isfinite(angle_rad):
+            raise UsageError(f"found an azimuth of {angle_rad}, expected radians")
         if self.is_isotropic:
             return self
         turned = copy.copy(self)
@@ -213,7 +219,9 @@ class MeasuredBRDF(NotebookPicture):
 
         Raises:
             ShapeError: as in `eval`.
+            UsageError: the resolution is no integer of at least 4.
         """
+        require_resolution(resolution)
         wi = require_directions(wi, "wi")
         flat = np.ascontiguousarray(self._turn(wi).reshape(-1, 3))
         sums = np.empty((flat.shape[0], resolution, self.bands.count))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Sequence
 from functools import cached_property
 from typing import cast
@@ -12,14 +13,14 @@ import numpy as np
 from manifold.analytic.base import choose_lobe, cosine_hemisphere
 from manifold.analytic.free_lobes import Lobes
 from manifold.analytic.ggx import normal_distribution, sample_normals
-from manifold.brdf.interface import BRDF, all_isotropic
+from manifold.brdf.interface import BRDF, all_isotropic, require_resolution
 from manifold.brdf.measured import MeasuredBRDF, values_at
 from manifold.brdf.notebook import NotebookPicture
 from manifold.brdf.plausibility import quadrature_albedo
 from manifold.brdf.sums import WeightedSum
 from manifold.brdf.wrapper import WrappedBRDF
 from manifold.core.directions import half_vector, require_directions
-from manifold.core.errors import ShapeError
+from manifold.core.errors import ShapeError, UsageError
 from manifold.core.mapping import CubeRoot, Identity, ValueMapping
 from manifold.core.pairs import Pairs
 from manifold.core.records import Array, Bands
@@ -152,7 +153,13 @@ class PredictedBRDF(NotebookPicture):
         return np.append(shares, of_lobes.sum()), [LobeSampling(dictionary.lobes, of_lobes)]
 
     def turned(self, angle_rad: float) -> PredictedBRDF:
-        """Return the sample turned by an azimuth: lobes are isotropic, measured materials share their tables."""
+        """Return the sample turned by an azimuth: lobes are isotropic, measured materials share their tables.
+
+        Raises:
+            UsageError: the azimuth is not finite.
+        """
+        if not math.isfinite(angle_rad):
+            raise UsageError(f"found an azimuth of {angle_rad}, expected radians")
         if angle_rad == 0.0 or self.is_isotropic:
             return self
         turned = copy.copy(self)
@@ -225,8 +232,13 @@ class PredictedBRDF(NotebookPicture):
     def albedo(self, wi: Array, resolution: int = 48) -> Array:
         """Return the directional albedo (..., B) at unit vectors wi (..., 3), by quadrature over half vectors.
 
-        `resolution` is the number of nodes per axis.
+        `resolution` is the number of nodes per axis, at least 4.
+
+        Raises:
+            ShapeError: as in `eval`.
+            UsageError: the resolution is no integer of at least 4.
         """
+        require_resolution(resolution)
         return quadrature_albedo(self, wi, resolution)
 
     def _combine(self, pairs: Pairs, out: Array) -> None:

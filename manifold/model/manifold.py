@@ -34,7 +34,7 @@ from manifold.model.gram import Gram
 from manifold.model.landmarks import LandmarkSearch, SamplesOnDemand
 from manifold.model.latent_space import Embedded, fixed_colours
 from manifold.model.map import map_svg
-from manifold.model.materials import MaterialTable
+from manifold.model.materials import MaterialCache, MaterialTable
 from manifold.model.places import (
     Place,
     PlaceLike,
@@ -90,10 +90,25 @@ class Manifold(Embedding):
     """
 
     def __init__(self, *fitted: Any) -> None:
-        """Use `fit` or `load`."""
+        """Use `fit` or `load`.
+
+        Raises:
+            UsageError: it is called with a path or a library.
+        """
+        if not fitted or not isinstance(fitted[0], MaterialCache):
+            found = ", ".join(map(repr, fitted))
+            raise UsageError(
+                f"Manifold({found}): expected Manifold.load(path) of a model, 'built-in' among them, or "
+                "Manifold.fit(library)"
+            )
         super().__init__(*fitted)
         self._walked: dict[str, Walked] = {}
         self._searches: dict[bool, LandmarkSearch] = {}  # keys: whether all materials are isotropic
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Travel to other processes without materials, which these read from the library."""
+        fitted = self.materials, self.space, self.settings, self.statistics, self.left_out
+        return type(self), fitted, {"notes": self.notes}
 
     def __repr__(self) -> str:
         s, n = self.settings, len(self.names)

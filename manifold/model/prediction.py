@@ -6,7 +6,7 @@ import copy
 import math
 from collections.abc import Sequence
 from functools import cached_property
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -120,6 +120,10 @@ class PredictedBRDF(NotebookPicture):
         self._sampling_weights = shares / shares.sum()
         self._samplers: list[BRDF | LobeSampling] = [*self._materials, *lobes]
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what copies and other processes need: all but `_sums`, which are prepared at first use."""
+        return {name: value for name, value in vars(self).items() if name != "_sums"}
+
     def __repr__(self) -> str:
         names = [name for name, _ in self.parts]
         more = ", ..." if len(names) > _SHOWN_PARTS else ""
@@ -163,7 +167,6 @@ class PredictedBRDF(NotebookPicture):
         if angle_rad == 0.0 or self.is_isotropic:
             return self
         turned = copy.copy(self)
-        turned.__dict__.pop("_sums", None)
         turned._materials = [cast(MeasuredBRDF, material).turned(angle_rad) for material in self._materials]
         turned._measured = None if self._measured is None else turned._materials[0]
         turned._samplers = [*turned._materials, *self._samplers[len(self._materials) :]]

@@ -76,7 +76,9 @@ class ComparedValues:
     def of(self, brdf: BRDF) -> Array:
         """Return the compared values of a BRDF of B bands, shape (B, R)."""
         f = values_at(brdf, self._pairs)
-        return self._of_values(require_values(f, len(self._pairs), brdf.bands, "the material to reconstruct").T)
+        return self._of_values(
+            require_values(f, len(self._pairs), brdf.bands, "the material to reconstruct").T
+        )
 
     def of_atoms(self, materials: Sequence[BRDF]) -> Array:
         """Return the compared values of the atoms of `DICTIONARY`, shape (n', R).

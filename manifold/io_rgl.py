@@ -9,6 +9,7 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
+from typing import BinaryIO
 
 import numpy as np
 
@@ -38,22 +39,24 @@ _AXIS_WORDS = {"P": "phi_i", "T": "theta_i", "B": "wavelengths", "H": "side of t
 _AT_LEAST_TWO = ("theta_i", "sigma", "ndf", "vndf", "luminance")  # interpolated fields need two nodes
 
 
-def read_bsdf(path: Path | str) -> BsdfFile:
+def read_bsdf(source: Path | str | bytes | BinaryIO) -> BsdfFile:
     """Read and validate an RGL file, spectral or RGB, isotropic or anisotropic.
 
     Args:
-        path: a `.bsdf` tensor file, or one that gzip compressed. The material's name is the file's without
-            `_spec.bsdf`, `_rgb.bsdf` and `.gz`.
+        source: path of a `.bsdf` tensor file, or of one that gzip compressed; its content as bytes; or a file opened
+            for reading bytes. The material's name is the file's without `_spec.bsdf`, `_rgb.bsdf` and `.gz`;
+            content without a file name is called `material`.
 
     Returns:
-        A record whose arrays are read-only views of the mapped or decompressed file.
+        A record whose arrays are read-only views of the mapped file or of the content.
 
     Raises:
+        UsageError: `source` is none of these.
         FileFormatError: the file is missing, of another format, damaged, or lacks what an RGL file must hold;
             the message names the file and the field.
     """
-    path = Path(path)
-    if os.path.isfile(path) and not is_tensor_file(path):
+    path, content = _path_and_content(source)
+    if content is None and os.path.isfile(path) and not is_tensor_file(path):
         from manifold.formats import registry
 
         known = registry.identify(path)
@@ -62,7 +65,7 @@ def read_bsdf(path: Path | str) -> BsdfFile:
                 f"{printable(path.name, 255)}: {known.name}, expected an RGL file; `manifold complete` makes one of a "
                 "few readings, `manifold convert` of a table or of whole hemispheres of readings"
             )
-    tensors = read_tensors(path)
+    tensors = read_tensors(path, content)
     _check(tensors, ErrorContext(path, "the file is damaged: fetch it again"))
     fields = {name: tensors[name] for name in _FIELDS if name in tensors}
     return BsdfFile(
@@ -82,6 +85,19 @@ def read_bsdf(path: Path | str) -> BsdfFile:
         valid=fields["valid"],
         extra=MappingProxyType({name: a for name, a in tensors.items() if name not in _FIELDS}),
     )
+
+
+def _path_and_content(source: Path | str | bytes | BinaryIO) -> tuple[Path, bytes | None]:
+    """Return the path of an RGL file, and its content unless it is to be read from there."""
+    if isinstance(source, Path | str):
+        return Path(source), None
+    content = source if isinstance(source, bytes) else getattr(source, "read", bool)()
+    if not isinstance(content, bytes):
+        raise UsageError(
+            f"found {type(source).__name__}, expected the path of a .bsdf file, its bytes, or a file opened with 'rb'"
+        )
+    name = getattr(source, "name", None)
+    return Path(name if isinstance(name, str) else "material"), content
 
 
 def rgl_wavelengths_nm() -> AnyArray:

@@ -5,8 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Protocol, runtime_checkable
 
-from manifold.core.errors import UsageError
+import numpy as np
+
+from manifold.core.errors import ShapeError, UsageError
 from manifold.core.records import Array, Bands
+
+LEAST_RESOLUTION = 4
+"""Nodes per axis of an albedo's quadrature; fewer miss the lobe."""
 
 
 class EvaluableBRDF(Protocol):
@@ -21,7 +26,10 @@ class EvaluableBRDF(Protocol):
         """Return whether f is invariant under rotation of both directions about the normal."""
 
     def eval(self, wi: Array, wo: Array) -> Array:
-        """Return f in 1/sr, shape (..., B); 0 for a direction that is not above the horizon."""
+        """Return f in 1/sr, shape (..., B); 0 for a direction that is not above the horizon.
+
+        Measured values may be negative: files of the RGL database in RGB hold colours outside sRGB.
+        """
 
 
 @runtime_checkable
@@ -62,3 +70,25 @@ def require_brdf(brdf: object, where: str) -> None:
             f"{where}: found {type(brdf).__name__}, without {', '.join(missing)}, expected a BRDF; a file becomes one "
             "by MeasuredBRDF(read_bsdf(path))"
         )
+
+
+def require_values(f: Array, count: int, bands: Bands, where: str) -> Array:
+    """Return f, (K, B), as a user's `eval` returned it at K = `count` direction pairs.
+
+    Raises:
+        ShapeError: it has another shape, or values that are not finite.
+    """
+    f, expected = np.asarray(f), (count, bands.count)
+    if f.shape != expected:
+        raise ShapeError(
+            f"{where}: eval returns shape {f.shape}, expected {expected}: one row per direction pair, {bands}"
+        )
+    if bad := int(np.count_nonzero(~np.isfinite(f))):
+        raise ShapeError(f"{where}: {bad} of {f.size} values of eval are not finite, expected f in 1/sr")
+    return f
+
+
+def require_resolution(resolution: int) -> None:
+    """Raise UsageError unless a number of quadrature nodes per axis is an integer of at least `LEAST_RESOLUTION`."""
+    if not isinstance(resolution, int | np.integer) or resolution < LEAST_RESOLUTION:
+        raise UsageError(f"resolution is {resolution}, expected an integer of at least {LEAST_RESOLUTION}")

@@ -6,10 +6,11 @@ import copy
 import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from manifold.brdf.interface import EvaluableBRDF
+from manifold.brdf.interface import EvaluableBRDF, require_resolution
 from manifold.brdf.notebook import NotebookPicture
 from manifold.brdf.warp import Warp
 from manifold.core.compiled import loops
@@ -58,7 +59,8 @@ class MeasuredBRDF(NotebookPicture):
         self.symmetry: Symmetry = (self.is_isotropic, repeats, rotation_rad)
         self._stored_luminance = file.luminance
         self._axes = file.phi_i_rad, file.theta_i_rad
-        self._warp = Warp(file.vndf, *self._axes)
+        self._vndf = file.vndf
+        self._warp = Warp(self._vndf, *self._axes)
         band_last = np.moveaxis(file.spectra, 2, -1)  # (P, T, H, W, B)
         self.spectra = np.ascontiguousarray(band_last, np.float32).reshape(-1, *band_last.shape[2:])
         self._scale = bool(file.jacobian), file.ndf, file.sigma
@@ -73,6 +75,22 @@ class MeasuredBRDF(NotebookPicture):
         density = np.maximum(self._stored_luminance, 0.0)  # [P, T, H, W]
         black = density.sum(axis=(2, 3), keepdims=True) <= 0
         return Warp(np.where(black, 1.0, density), *self._axes)
+
+    def __copy__(self) -> MeasuredBRDF:
+        """Return a copy that shares arrays and tables."""
+        copied = object.__new__(type(self))
+        vars(copied).update(vars(self))
+        return copied
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what travels to other processes: arrays, from which `__setstate__` prepares the tables."""
+        prepared = ("_warp", "tables", "_luminance")
+        return {name: value for name, value in vars(self).items() if name not in prepared}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._warp = Warp(self._vndf, *self._axes)
+        self.tables = self._tables()
 
     def __repr__(self) -> str:
         return f"MeasuredBRDF({self.name!r}, {self.bands})"
@@ -97,7 +115,13 @@ class MeasuredBRDF(NotebookPicture):
         return selected
 
     def turned(self, angle_rad: float) -> MeasuredBRDF:
-        """Return the BRDF turned about the normal by an azimuth in radians; tables are shared."""
+        """Return the BRDF turned about the normal by an azimuth in radians; tables are shared.
+
+        Raises:
+            UsageError: the azimuth is not finite.
+        """
+        if not math.isfinite(angle_rad):
+            raise UsageError(f"found an azimuth of {angle_rad}, expected radians")
         if self.is_isotropic:
             return self
         turned = copy.copy(self)
@@ -213,7 +237,9 @@ class MeasuredBRDF(NotebookPicture):
 
         Raises:
             ShapeError: as in `eval`.
+            UsageError: the resolution is no integer of at least 4.
         """
+        require_resolution(resolution)
         wi = require_directions(wi, "wi")
         flat = np.ascontiguousarray(self._turn(wi).reshape(-1, 3))
         sums = np.empty((flat.shape[0], resolution, self.bands.count))

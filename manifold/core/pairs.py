@@ -67,6 +67,8 @@ def results(shape: tuple[int, ...], out: Array | None, dtype: DTypeLike = np.flo
     """Return the array for values of a shape: `out`, which must fit, or new memory of a type."""
     if out is None:
         return np.empty(shape, dtype)
+    if not isinstance(out, np.ndarray):
+        raise ShapeError(f"out is a {type(out).__name__}, expected an array {shape} of float32 or float64")
     if out.shape != shape or out.dtype not in (np.float32, np.float64) or not out.flags.carray:
         raise ShapeError(
             f"out is {out.dtype} {out.shape}, expected contiguous float32 or float64 {shape}, which can be written"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from pathlib import Path
 
 import numpy as np
 
@@ -100,13 +101,15 @@ class LibraryAtoms:
         return len(self.material_of)
 
     @classmethod
-    def of_library(cls, library: Library) -> LibraryAtoms:
-        """Evaluate all materials of a library, negative values taken for 0.
+    def of_library(cls, library: Library | Path | str) -> LibraryAtoms:
+        """Evaluate all materials of a library or of the library at a path, negative values taken for 0.
 
         Raises:
             UsageError: there are fewer than three, or more than `MOST_MATERIALS`.
             LibraryError: a material cannot be read.
         """
+        if not isinstance(library, Library):
+            library = Library.open(library)
         names, bands = library.names, library.bands
         if len(names) < 3:
             raise UsageError(

@@ -15,10 +15,10 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.orientation import rotation_of, rotation_of_brdf
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour.difference import VISIBLE
-from manifold.core.errors import UsageError
+from manifold.core.errors import UnknownNameError, UsageError
 from manifold.core.judged_lights import BALL, BALL_COLUMN
 from manifold.core.metrics import Errors
-from manifold.core.names import percent
+from manifold.core.names import names_like, percent
 from manifold.core.records import Array, Bands, BsdfFile
 from manifold.core.results import Result, entry
 from manifold.fit import adam_and_swarm, fit_metrics, fit_samples, gauss_newton, identifiability
@@ -158,7 +158,7 @@ class FitResult(Result):
 @backend.variant_kept()
 def fit_bsdf(
     target: BRDF | BsdfFile | FitSamples,
-    family: BsdfFamily | None = None,
+    family: BsdfFamily | str | None = None,
     *,
     method: str = "gauss-newton",
     metric: str = "appearance",
@@ -175,8 +175,9 @@ def fit_bsdf(
         target: a file (its unmeasured cells filled), any BRDF, or samples. Files and BRDFs are sampled on a grid,
             anisotropic ones turned to where their highlights are wide along x, as `principled`'s are, and their
             ball is lit in two lights: one for the fit, one for its error alone.
-        family: the BSDF with its free parameters. If None, `default_principled`; and from method gauss-newton
-            `diffuse()` where that fits better: no parameters make `principled` Lambertian.
+        family: the BSDF with its free parameters, or the name `principled` or `diffuse` of one with its usual ones. If
+            None, `default_principled`; and from method gauss-newton `diffuse()` where that fits better: no parameters
+            make `principled` Lambertian.
         method: one of `FITTERS`.
         metric: one of `fit_metrics.METRICS`, in which residuals are minimised and compared. `appearance` is that of the
             colours of the ball and of cube roots at the samples; of samples without a ball, cube roots alone.
@@ -226,18 +227,25 @@ def fit_bsdf(
 
 
 def _fit_or_diffuse(
-    samples: FitSamples, family: BsdfFamily | None, method: str, metric: str, noise: float, options: Any,
+    samples: FitSamples, family: BsdfFamily | str | None, method: str, metric: str, noise: float, options: Any,
     wide_colours: bool,
 ) -> FitResult:  # fmt: skip
     """Fit the family, or the default one."""
+    default = default_principled(samples.is_isotropic, wide_colours=wide_colours)
+    named = {default.type: default, "diffuse": diffuse(wide_colours=wide_colours)}
+    if isinstance(family, str):
+        if family not in named:
+            raise UnknownNameError(
+                f"no BSDF '{family}' to fit; {names_like(named, family, 'names are')}; others are a BsdfFamily"
+            )
+        family = named[family]
     if family is not None:
         return _fit(samples, family, method, metric, noise, options)
-    default = default_principled(samples.is_isotropic, wide_colours=wide_colours)
     found = _fit(samples, default, method, metric, noise, options)
     is_worse = _is_worse_than_diffuse(found.residuals[metric], found.diffuse_residual)
     if method != "gauss-newton" or not is_worse:
         return found
-    plain = _fit(samples, diffuse(wide_colours=wide_colours), method, metric, noise, options)
+    plain = _fit(samples, named["diffuse"], method, metric, noise, options)
     if plain.residuals[metric] >= found.residuals[metric]:  # no reflectance that a surface can have
         return found
     worse, better = (percent(each.residuals[metric], 2) for each in (found, plain))

@@ -67,15 +67,21 @@ def is_compressed(path: Path) -> bool:
     return disk.begins_with(path, GZIP) and is_tensor_file(path)
 
 
-def read_tensors(path: Path | str) -> dict[str, AnyArray]:
+def read_tensors(path: Path | str, content: bytes | None = None) -> dict[str, AnyArray]:
     """Return the fields of any tensor file in its order: read-only views of the file, mapped or decompressed.
 
-    It must not be shortened while the arrays live: the operating system ends a process that reads beyond the end of a
-    mapped file. Replacing it by renaming, as `write_tensors` does, is safe.
+    With `content`, the bytes of the file, `path` is only its name in errors.
+
+    A mapped file must not be shortened while the arrays live: the operating system ends a process that reads beyond
+    its end. Replacing it by renaming, as `write_tensors` does, is safe.
     """
     path = Path(path)
     context = ErrorContext(path, "the file is damaged: fetch it again")
-    buffer: mmap.mmap | bytes = _map(path, context)
+    buffer: mmap.mmap | bytes = _map(path, context) if content is None else content
+    if not buffer:
+        raise context.error("is empty, expected an RGL tensor file")
+    if len(buffer) < _PREAMBLE.size:
+        raise context.error(f"has {len(buffer)} bytes, expected an RGL tensor file")
     if buffer[:2] == GZIP and holds_tensors(buffer[:_SNIFFED]):
         buffer = _decompress(buffer, context)
     magic, major, minor, count = _PREAMBLE.unpack_from(buffer)
@@ -103,19 +109,17 @@ def read_tensors(path: Path | str) -> dict[str, AnyArray]:
     return tensors
 
 
-def _map(path: Path, context: ErrorContext) -> mmap.mmap:
-    """Map the whole file as read-only memory."""
+def _map(path: Path, context: ErrorContext) -> mmap.mmap | bytes:
+    """Map the whole file as read-only memory; an empty one cannot be mapped."""
     try:
         with path.open("rb") as file:
-            buffer = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-    except (OSError, ValueError) as error:  # ValueError: an empty file
+            is_empty = os.path.isfile(path) and not os.fstat(file.fileno()).st_size
+            return b"" if is_empty else mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    except (OSError, ValueError) as error:  # ValueError: a device
         raise context.error(
             f"cannot be read ({getattr(error, 'strerror', None) or error}), expected an RGL tensor file",
             remedy="check the path",
         ) from error
-    if len(buffer) < _PREAMBLE.size:
-        raise context.error(f"has {len(buffer)} bytes, expected an RGL tensor file")
-    return buffer
 
 
 def _decompress(packed: mmap.mmap | bytes, context: ErrorContext) -> bytes:

@@ -174,12 +174,15 @@ class Embedding:
             library: path of the library, if it was moved.
 
         Raises:
+            UsageError: `path` is no path.
             ModelError: no such file, no model of this package, another version, or damaged.
             LibraryError: the library is not there, or lacks materials of the model.
 
         Warns:
             LibraryChangedWarning: the library's content is not what the model was fitted to.
         """
+        if not isinstance(path, Path | str):
+            raise UsageError(f"found {type(path).__name__}, expected the path of a model, or 'built-in'")
         path = Path(path)
         stored = read_model(path)
         library = open_library(path, stored, library)

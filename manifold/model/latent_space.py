@@ -126,7 +126,7 @@ class LatentSpace(ABC):
         """
 
     def require_colours(self, colours: Array | None) -> Array | None:
-        """Return colours as float64: (B,), or with gains (2, B)."""
+        """Return colours as float64: (B,), or with gains (2, B). Raises ShapeError if they are no such colours."""
         if colours is None:
             return None
         if not self.takes_colours:
@@ -134,9 +134,15 @@ class LatentSpace(ABC):
         colours = np.asarray(colours, dtype=np.float64)
         n_bands = self.reflectances.shape[1]
         expected = [(n_bands,), (2, n_bands)]
-        if colours.shape not in expected or not np.all(np.isfinite(colours)):
+        if colours.shape not in expected:
             shapes = " or ".join(map(str, expected))
-            raise ShapeError(f"colours have shape {colours.shape}, expected {shapes}, finite")
+            raise ShapeError(f"colours have shape {colours.shape}, expected {shapes}")
+        for bad, what in ((~np.isfinite(colours), "not finite"), (colours < 0.0, "negative")):
+            if np.any(bad):
+                raise ShapeError(
+                    f"{np.count_nonzero(bad)} of {colours.size} values of colours are {what}, expected at least 0, "
+                    "as colours.of_reflectance returns"
+                )
         return colours
 
     @abstractmethod

@@ -13,7 +13,7 @@ from typing import Any, TypeVar, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from manifold.brdf.interface import BRDF, require_brdf
+from manifold.brdf.interface import BRDF, require_brdf, require_values
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.core import shipped
 from manifold.core.errors import UnknownNameError, UsageError
@@ -34,7 +34,7 @@ from manifold.model.gram import Gram
 from manifold.model.landmarks import LandmarkSearch, SamplesOnDemand
 from manifold.model.latent_space import Embedded, fixed_colours
 from manifold.model.map import map_svg
-from manifold.model.materials import MaterialTable
+from manifold.model.materials import MaterialCache, MaterialTable
 from manifold.model.places import (
     Place,
     PlaceLike,
@@ -90,10 +90,25 @@ class Manifold(Embedding):
     """
 
     def __init__(self, *fitted: Any) -> None:
-        """Use `fit` or `load`."""
+        """Use `fit` or `load`.
+
+        Raises:
+            UsageError: it is called with a path or a library.
+        """
+        if not fitted or not isinstance(fitted[0], MaterialCache):
+            found = ", ".join(map(repr, fitted))
+            raise UsageError(
+                f"Manifold({found}): expected Manifold.load(path) of a model, 'built-in' among them, or "
+                "Manifold.fit(library)"
+            )
         super().__init__(*fitted)
         self._walked: dict[str, Walked] = {}
         self._searches: dict[bool, LandmarkSearch] = {}  # keys: whether all materials are isotropic
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Travel to other processes without materials, which these read from the library."""
+        fitted = self.materials, self.space, self.settings, self.statistics, self.left_out
+        return type(self), fitted, {"notes": self.notes}
 
     def __repr__(self) -> str:
         s, n = self.settings, len(self.names)
@@ -192,7 +207,13 @@ class Manifold(Embedding):
         return Errors(found.ball * is_predicted, found.cube_root * is_predicted)
 
     def nearest(self, x: PlaceLike, count: int = 1) -> list[tuple[str, float]]:
-        """Return the materials nearest to a latent x (Q,) with their distances, nearest first."""
+        """Return the materials nearest to a latent x (Q,) with their distances, nearest first.
+
+        Raises:
+            UsageError: `count` is below 1.
+        """
+        if count < 1:
+            raise UsageError(f"found {count} nearest materials to return, expected at least 1")
         distance = np.linalg.norm(self.space.X - self.place(x).latent, axis=1)
         return [(self.names[k], float(distance[k])) for k in np.argsort(distance, kind="stable")[:count]]
 
@@ -348,7 +369,7 @@ class Manifold(Embedding):
         Raises:
             LatentError: x is not (Q,) or not finite.
             UsageError: colours for a manifold of kind `gplvm`, or no such material.
-            ShapeError: colours have another shape, are not finite, or are black in all bands.
+            ShapeError: colours have another shape, are not finite or negative, or are black in all bands.
         """
         # As objects, rows of different lengths are no error here; `place` reports them.
         if np.asarray(x, dtype=object).ndim == 2:
@@ -443,12 +464,14 @@ class Manifold(Embedding):
 
         Raises:
             BandMismatchError: it has other bands.
+            ShapeError: its `eval` returns another shape, or values that are not finite.
         """
         require_brdf(brdf, "the material to embed")
         self.bands.require_same(brdf.bands, "the material to embed", "resample it, or use its own library")
         is_isotropic = self.materials.is_isotropic and brdf.is_isotropic
         pairs = self.space.embedding_pairs(is_isotropic)
-        f = brdf.eval(pairs.wi, pairs.wo).T
+        f = brdf.eval(pairs.wi, pairs.wo)
+        f = require_values(f, len(pairs), brdf.bands, "the material to embed").T
         if isinstance(self.space, BlendSpace) and self.space.landmarks is not None:
             if is_isotropic not in self._searches:
                 samples = SamplesOnDemand(self.space, self.materials, pairs)
@@ -470,6 +493,7 @@ class Manifold(Embedding):
         Raises:
             UsageError: it is black, or `numbers` is below 1.
             BandMismatchError: its bands are not the model's.
+            ShapeError: its `eval` returns another shape, or values that are not finite.
         """
         require_brdf(brdf, "the material to reconstruct")
         self.bands.require_same(

@@ -8,6 +8,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -65,6 +66,10 @@ class MaterialCache:
         self._unmeasured_shares: dict[str, float] = {}
         self._cut: set[str] = set()  # names of materials of which negative values were taken for 0
         self._turned: dict[str, float] = {}  # azimuths by which those with a direction lie turned
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what travels to other processes, which read the materials from the library."""
+        return vars(self) | {"_measured": _Latest(), "_filled": _Latest(), "_in_bands": ((), _Latest())}
 
     def __repr__(self) -> str:
         return f"<MaterialCache: {len(self.names)} materials of {self.library.path.name}>"

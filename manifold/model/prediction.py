@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Sequence
 from functools import cached_property
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
 from manifold.analytic.base import choose_lobe, cosine_hemisphere
 from manifold.analytic.free_lobes import Lobes
 from manifold.analytic.ggx import normal_distribution, sample_normals
-from manifold.brdf.interface import BRDF, all_isotropic
+from manifold.brdf.interface import BRDF, all_isotropic, require_resolution
 from manifold.brdf.measured import MeasuredBRDF, values_at
 from manifold.brdf.notebook import NotebookPicture
 from manifold.brdf.plausibility import quadrature_albedo
 from manifold.brdf.sums import WeightedSum
 from manifold.brdf.wrapper import WrappedBRDF
 from manifold.core.directions import half_vector, require_directions
-from manifold.core.errors import ShapeError
+from manifold.core.errors import ShapeError, UsageError
 from manifold.core.mapping import CubeRoot, Identity, ValueMapping
 from manifold.core.pairs import Pairs
 from manifold.core.records import Array, Bands
@@ -119,6 +120,10 @@ class PredictedBRDF(NotebookPicture):
         self._sampling_weights = shares / shares.sum()
         self._samplers: list[BRDF | LobeSampling] = [*self._materials, *lobes]
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what copies and other processes need: all but `_sums`, which are prepared at first use."""
+        return {name: value for name, value in vars(self).items() if name != "_sums"}
+
     def __repr__(self) -> str:
         names = [name for name, _ in self.parts]
         more = ", ..." if len(names) > _SHOWN_PARTS else ""
@@ -152,11 +157,16 @@ class PredictedBRDF(NotebookPicture):
         return np.append(shares, of_lobes.sum()), [LobeSampling(dictionary.lobes, of_lobes)]
 
     def turned(self, angle_rad: float) -> PredictedBRDF:
-        """Return the sample turned by an azimuth: lobes are isotropic, measured materials share their tables."""
+        """Return the sample turned by an azimuth: lobes are isotropic, measured materials share their tables.
+
+        Raises:
+            UsageError: the azimuth is not finite.
+        """
+        if not math.isfinite(angle_rad):
+            raise UsageError(f"found an azimuth of {angle_rad}, expected radians")
         if angle_rad == 0.0 or self.is_isotropic:
             return self
         turned = copy.copy(self)
-        turned.__dict__.pop("_sums", None)
         turned._materials = [cast(MeasuredBRDF, material).turned(angle_rad) for material in self._materials]
         turned._measured = None if self._measured is None else turned._materials[0]
         turned._samplers = [*turned._materials, *self._samplers[len(self._materials) :]]
@@ -225,8 +235,13 @@ class PredictedBRDF(NotebookPicture):
     def albedo(self, wi: Array, resolution: int = 48) -> Array:
         """Return the directional albedo (..., B) at unit vectors wi (..., 3), by quadrature over half vectors.
 
-        `resolution` is the number of nodes per axis.
+        `resolution` is the number of nodes per axis, at least 4.
+
+        Raises:
+            ShapeError: as in `eval`.
+            UsageError: the resolution is no integer of at least 4.
         """
+        require_resolution(resolution)
         return quadrature_albedo(self, wi, resolution)
 
     def _combine(self, pairs: Pairs, out: Array) -> None:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from manifold.analytic.free_lobes import Lobes
-from manifold.brdf.interface import BRDF, all_isotropic
+from manifold.brdf.interface import BRDF, all_isotropic, require_values
 from manifold.brdf.measured import values_at
 from manifold.colour import panel
 from manifold.core.errors import UsageError
@@ -75,7 +75,10 @@ class ComparedValues:
 
     def of(self, brdf: BRDF) -> Array:
         """Return the compared values of a BRDF of B bands, shape (B, R)."""
-        return self._of_values(values_at(brdf, self._pairs).T)
+        f = values_at(brdf, self._pairs)
+        return self._of_values(
+            require_values(f, len(self._pairs), brdf.bands, "the material to reconstruct").T
+        )
 
     def of_atoms(self, materials: Sequence[BRDF]) -> Array:
         """Return the compared values of the atoms of `DICTIONARY`, shape (n', R).

@@ -58,8 +58,9 @@ class RenderSettings:
 
     def __post_init__(self) -> None:
         for name, most in (("size", LARGEST_SIZE), ("samples", 1 << 20)):
-            if not 1 <= getattr(self, name) <= most:
-                raise UsageError(f"{name} is {getattr(self, name)}, expected 1 to {most}")
+            value = getattr(self, name)
+            if not isinstance(value, int | np.integer) or not 1 <= value <= most:
+                raise UsageError(f"{name} is {value}, expected an integer from 1 to {most}")
         if self.seed < 0:
             raise UsageError(f"seed is {self.seed}, expected 0 or more")
 

@@ -600,7 +600,7 @@ def test_what_is_no_file_is_one_error(tmp_path: Path) -> None:
     for name, words in {
         "missing.bsdf": "No such file",
         "folder.bsdf": "Is a directory",
-        "empty.bsdf": "empty file",
+        "empty.bsdf": "is empty",
         "x" * 300 + ".bsdf": "too long",
     }.items():
         with pytest.raises(FileFormatError, match=words):

@@ -344,8 +344,8 @@ def predict(
     """Predict the material at a latent coordinate and write it as a .bsdf that Mitsuba opens.
 
     The colour is that of the latent, unless --like, --reflectance or --srgb chooses another. --lightness, --chroma and
-    --hue change it; --gloss changes only the coat, not the layer below. A file or a step of a walk keeps its own values,
-    which these options edit; `manifold locate` finds its place on the map.
+    --hue change it; --gloss changes only the coat, not the layer below. A file or a step of a walk keeps its own
+    values, which these options edit; `manifold locate` finds a file's place on the map.
     `--latent X,Y` is equivalent to the argument X,Y.
     """
     from manifold.estimate import predictions

@@ -211,6 +211,14 @@ def export(
             metavar="E",
         ),
     ] = None,
+    prefix: Annotated[
+        str | None,
+        typer.Option(
+            help="For shaders: begin all names in the code with this, so that a program may have several materials. "
+            "[default: manifold]",
+            metavar="NAME",
+        ),
+    ] = None,
     pack: Annotated[
         Path | None,
         written(
@@ -243,10 +251,12 @@ def export(
     if target == "shader":
         if against is not None:
             raise UsageError("--against goes with the fit of a target's model; leave it out for a shader")
-        _export_shader(results, materials, output, tolerance, picture, pack)
+        _export_shader(results, materials, output, tolerance, picture, pack, prefix)
         return
-    if tolerance is not None:
-        raise UsageError("--tolerance goes with --target shader; leave it out for models that are fitted")
+    if tolerance is not None or prefix is not None:
+        raise UsageError(
+            "--tolerance and --prefix go with --target shader; leave them out for models that are fitted"
+        )
     from manifold.estimate.inputs import is_many
     from manifold.fit import exporting  # which imports Matplotlib; a shader does without
     from manifold.io_rgl import material_name
@@ -291,7 +301,7 @@ def _refuse_pack_of_one(pack: Path | None, material: MaterialSource) -> None:
 
 def _export_shader(
     results: terminal.Results, materials: Sequence[MaterialSource], output: Path | None, tolerance: float | None,
-    picture: bool, pack: Path | None,
+    picture: bool, pack: Path | None, prefix: str | None,
 ) -> None:  # fmt: skip
     from manifold.core.metrics import Errors
     from manifold.estimate.inputs import find_inputs, is_many
@@ -299,6 +309,8 @@ def _export_shader(
 
     tolerance = exporting.DEFAULT_TOLERANCE if tolerance is None else tolerance
     if is_many(materials):
+        if prefix is not None:
+            raise UsageError(f"--prefix {prefix} is of one material; export each with a prefix of its own")
         command = exporting.exports(tolerance, with_pictures=picture, is_pack=pack is not None)
         make_many(results, command, find_inputs(materials), pack or output)
         return
@@ -307,7 +319,7 @@ def _export_shader(
     folder = or_default(output, material.name.removesuffix(".fit.json"))
     require_folder(folder, "the files of a shader", ".glsl")
     with progress.shown("Exporting"):
-        outcome = exporting.export(material, folder, tolerance=tolerance, with_picture=picture)
+        outcome = exporting.export(material, folder, tolerance=tolerance, with_picture=picture, prefix=prefix)
     content = outcome.content or {}
     rows: dict[str, object] = {
         "CIEDE2000 of the ball": f"{Errors(**content['errors'])}, against the {content['against']}",

@@ -295,8 +295,10 @@ def info(
     from manifold.convert import contents as info
 
     with progress.shown("Verifying" if verify else "Reading"):
-        source = options.material_source(path, model, library)
-        shown = info.inspect_source(source, library=library, verify=verify)
+        exported = info.inspect_export(Path(path))
+        shown = exported or info.inspect_source(
+            options.material_source(path, model, library), library=library, verify=verify
+        )
     results.rows(shown.title, shown.rows)
     for columns, rows in shown.tables:
         if rows:

@@ -320,7 +320,7 @@ def predict(
         str | None,
         typer.Argument(
             help="Latent coordinates separated by commas, without spaces; FROM:TO:T, a step between two materials (see "
-            "`manifold walk`), T from 0 to 1; or a material of the library or a file, which is located.",
+            "`manifold walk`), T from 0 to 1; or a material of the library or a file.",
             metavar="X,Y|FROM:TO:T|NAME|FILE",
             show_default=False,
         ),
@@ -346,7 +346,8 @@ def predict(
     """Predict the material at a latent coordinate and write it as a .bsdf that Mitsuba opens.
 
     The colour is that of the latent, unless --like, --reflectance or --srgb chooses another. --lightness, --chroma and
-    --hue change it; --gloss changes only the coat, not the layer below.
+    --hue change it; --gloss changes only the coat, not the layer below. A file or a step of a walk keeps its own
+    values, which these options edit; `manifold locate` finds a file's place on the map.
     `--latent X,Y` is equivalent to the argument X,Y.
     """
     from manifold.estimate import predictions

@@ -24,7 +24,7 @@ from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource
 from manifold.formats import registry
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
-from manifold.formats.recognition import Kind, kind_of
+from manifold.formats.recognition import Kind, kind_of, read_export
 from manifold.formats.workbook_pictures import picture_directions, picture_geometry, picture_values
 from manifold.io_rgl import read_bsdf
 from manifold.model.coherence import Coherence
@@ -214,6 +214,24 @@ def inspect(
     if (known := registry.identify(path)) is None:
         raise registry.unknown(path)
     return Inspection(f"{path.name}: {known.name}", *inspect_instrument_file(path, known.name))
+
+
+def inspect_export(path: Path) -> Inspection | None:
+    """Inspect a JSON file that `export` wrote for an engine; None for other files."""
+    content = read_export(path)
+    if content is None:
+        return None
+    rows: dict[str, object] = {"material": content["material"]}
+    rows |= {
+        name: ", ".join(f"{v:.4g}" for v in np.atleast_1d(value))
+        for name, value in content["parameters"].items()
+    }
+    rows |= {
+        "colour space": content["colour_space"],
+        "CIEDE2000 of the ball": f"{Errors(**content['errors'])}, against the {content['against']}",
+        "program": content["program"],
+    }
+    return Inspection(f"{path}: export for {content['target']}", rows, content | {"path": str(path)})
 
 
 def inspect_source(source: MaterialSource, *, library: Path | None, verify: bool) -> Inspection:

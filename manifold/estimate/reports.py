@@ -62,9 +62,12 @@ def write_completion(path: Path, completed: Completed, sources: Sequence[Path] =
         *_suggested(completed),
         gloss(brdf, completion.evidence.gloss),
         Section(
-            "Most probable mixtures, before they are adjusted to the observations; the last column is the cube-root "
-            "difference of the ball from that of the mean mixture",
+            "Most probable mixtures",
             heads=("mixture", "probability", "residual", "ball from mean"),
+            notes=[
+                "Before they are adjusted to the observations; the last column is the cube-root difference of the ball "
+                "from that of the mean mixture."
+            ] * bool(completion.alternatives),
             table=[
                 (
                     " + ".join(f"{weight:.2f} {name}" for name, weight in mixture.like), f"{mixture.probability:.2f}",

@@ -12,6 +12,7 @@ from manifold.core import shipped
 from manifold.core.errors import ManifoldError, MissingFileError, UnknownNameError
 from manifold.core.names import names_like
 from manifold.core.records import BsdfFile
+from manifold.formats.recognition import require_no_export
 from manifold.io_rgl import material_name, read_bsdf
 from manifold.model.colours import NEAREST, ColourChoice
 from manifold.model.places import Place, PlaceLike, is_place
@@ -86,6 +87,7 @@ def parse_source(text: str, model: Path, library: Path | None = None) -> Materia
     text = text.strip()
     path = Path(text)
     if os.path.isfile(path) or shipped.is_elsewhere(path):
+        require_no_export(path)
         return FileSource(path)
     looks_like_file = "/" in text or _FILE_ENDING.fullmatch(path.suffix) is not None
     try:

@@ -225,7 +225,7 @@ def export(
         _write_balls(balls, subject, content)
     notes = (*subject.notes, *([target.caveat] if target.caveat else []))
     if made.errors.ball > VISIBLE:
-        light = f"{made.errors.worst:.1f} with the {light_in_words(made.errors.worst_light)}"
+        light = f"{made.errors.worst:.1f} in the worst light ({light_in_words(made.errors.worst_light)})"
         away = f"{made.errors.ball:.1f} {BALL} from the {subject.against}"
         notes = (f"not a close fit: {away}, above {VISIBLE:g}; {light}", *notes)
         if (missed := missed_highlight(model, material)) is not None:
@@ -391,7 +391,7 @@ def _pictures_of(
 
 
 def _write_index(target: Target, made: Batch[ExportSource]) -> None:
-    """Write the page of a pack: measured materials beside exported ones, with the differences."""
+    """Write the page of a pack: materials beside their exports, with the differences, and what failed."""
     cards = []
     for one in made.outcomes:
         if one.content is not None:

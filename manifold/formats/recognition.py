@@ -8,9 +8,11 @@ from __future__ import annotations
 import os
 from enum import StrEnum
 from pathlib import Path
+from typing import Any
 
-from manifold.core import shipped
+from manifold.core import disk, shipped
 from manifold.core.disk import begins_with
+from manifold.core.errors import ManifoldError, UsageError
 from manifold.core.picture_bytes import KINDS
 from manifold.core.stores import METADATA, is_zipped_library
 from manifold.formats.tensor_file import is_tensor_file
@@ -69,6 +71,31 @@ def is_rgl(path: Path) -> bool:
 def is_fit(path: Path) -> bool:
     """Return whether a file is the JSON of a fit, or is named like one."""
     return path.name.endswith(FIT_SUFFIX) or begins_with(path, _FIT_HEAD)
+
+
+_ENGINE_SUFFIXES = (".glb", ".mtlx", ".usda")
+
+
+def read_export(path: Path) -> dict[str, Any] | None:
+    """Return the content of a JSON file that `export` wrote for an engine; None for other files."""
+    if path.suffix.lower() != ".json" or is_fit(path) or not os.path.isfile(path):
+        return None
+    try:
+        content = disk.read_json(path, "the JSON of an export")
+    except ManifoldError:
+        return None
+    is_export = isinstance(content, dict) and {"target", "material", "parameters", "errors"} <= content.keys()
+    return content if is_export else None
+
+
+def require_no_export(path: Path) -> None:
+    """Raise UsageError for a file of an engine, which `export` writes and nothing reads back."""
+    if path.suffix.lower() not in _ENGINE_SUFFIXES and read_export(path) is None:
+        return
+    raise UsageError(
+        f"{path}: a file for engines, which is not read back, expected its material; compare both by "
+        "`manifold export MATERIAL --target NAME --picture`"
+    )
 
 
 def is_rendered(path: Path) -> bool:

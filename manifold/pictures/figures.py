@@ -37,9 +37,12 @@ _DRAWN = 1.07  # text with an outline is drawn without hints, wider than measure
 rcParams["font.family"] += [name for name in _FALLBACK_FONTS if name in fontManager.get_font_names()]
 
 
+_DPI = 110
+
+
 def new_figure(width: float, height: float) -> Figure:
     """Return an empty figure of a size in inches, which opens no window."""
-    figure = Figure(figsize=(width, height), dpi=110, layout="constrained")
+    figure = Figure(figsize=(width, height), dpi=_DPI, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
@@ -126,7 +129,8 @@ def save(figure: Figure, path: Path) -> None:
         figure.savefig(partial)
 
 
-_WIDTH, _HEIGHT = 1.15, 1.6  # size of a cell, in inches
+_WIDTH, _HEIGHT = 1.15, 1.6  # smallest size of a cell, in inches
+_WIDE = 12.0  # inches; wider sheets have the smallest cells
 _MOST_COLUMNS = 16
 _LETTERS = 15  # letters in a line of a name
 
@@ -134,14 +138,17 @@ _LETTERS = 15  # letters in a line of a name
 def contact_sheet(cells: Sequence[tuple[str, str, Sequence[Path]]], under: str | None) -> Figure:
     """Draw pictures in rows, each with a name and a text below it, or a grey circle if there is none.
 
-    `under` describes that text.
+    `under` describes that text. Few pictures have their own size.
     """
     beside = max((len(pictures) for *_, pictures in cells), default=1)
     columns = min(int(np.ceil(np.sqrt(1.5 * len(cells) / beside))), _MOST_COLUMNS // beside)
     rows = -(-len(cells) // columns)
     said = ["left measured, right predicted"] * (beside > 1)
     said += [] if under is None else [f"below the names: {under}"]
-    figure = new_figure(_WIDTH * beside * columns, _HEIGHT * rows + 0.4 * bool(said))
+    drawn = next((picture for *_, pictures in cells for picture in pictures if picture.is_file()), None)
+    pixels = 0 if drawn is None else picture_bytes.decode(drawn.read_bytes(), "RGBA").shape[1]
+    scale = float(np.clip(pixels / (_DPI * _WIDTH), 1.0, max(_WIDE / (_WIDTH * beside * columns), 1.0)))
+    figure = new_figure(_WIDTH * scale * beside * columns, _HEIGHT * scale * rows + 0.4 * bool(said))
     if said:
         figure.supxlabel("; ".join(said), fontsize=8, color="0.3")
     grid = figure.subplots(rows, columns * beside, squeeze=False).reshape(-1, beside)

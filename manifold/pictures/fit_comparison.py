@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.notebook import ball_image
 from manifold.brdf.orientation import aligned
 from manifold.core.records import Array, Mask
 from manifold.io_rgl import read_bsdf
 from manifold.pictures import figures, fit_figure
-from manifold.pictures.export_sheet import framed
+from manifold.pictures.export_sheet import framed, studio_ball
 from manifold.pictures.renders import RIM
 from manifold.pictures.slice_figures import ShownBRDF
 from manifold.render import fit_json, images, scenes
@@ -21,7 +20,7 @@ from manifold.render.ball import read_material, render_material
 from manifold.render.fitted_brdf import FittedBRDF
 from manifold.render.render import RenderSettings
 
-_PIXELS = 160  # pixels across a ball by quadrature
+_PIXELS = 128  # pixels across a ball by quadrature
 
 
 def picture_of_fit(
@@ -48,7 +47,7 @@ def picture_of_fit(
 
 def picture_of_brdfs(title: str, sources: Sequence[ShownBRDF], output: Path) -> tuple[float, float]:
     """Draw a material and its substitute, balls by quadrature in the studio, and slices."""
-    balls = [framed(*ball_image(source.brdf, _PIXELS)) for source in sources]
+    balls = [framed(*studio_ball(source.brdf, _PIXELS)) for source in sources]
     return _draw(title, (balls[0][0], balls[1][0]), balls[0][1], sources, "studio", output)
 
 

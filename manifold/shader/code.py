@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 from collections.abc import Iterable
@@ -11,6 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 from manifold import __version__
+from manifold.core.errors import UsageError
 from manifold.shader.table import ShaderTable
 
 _COMPILERS = ("glslangValidator", "glslang")  # of Debian and older packages; of newer ones
@@ -49,6 +51,19 @@ def glsl(table: ShaderTable, name: str) -> str:
     text = files("manifold.shader").joinpath("manifold.glsl").read_text(encoding="utf-8")
     head = f"{' '.join(name.split())}, by manifold {__version__}"
     return text.replace("@NAME@", head).replace("@CONSTANTS@", _constants(table))
+
+
+def renamed(text: str, prefix: str | None) -> str:
+    """Return code whose functions and constants begin with another prefix than `manifold`; None keeps it."""
+    if prefix is None:
+        return text
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*", prefix) or prefix.startswith("gl_"):
+        raise UsageError(
+            f"prefix '{prefix}', expected a name of letters, digits and single underscores, such as copper"
+        )
+    for name, new in (("MANIFOLD", prefix.upper()), ("manifold", prefix)):
+        text = re.sub(rf"(?<![A-Za-z0-9])(_*){name}_", rf"\g<1>{new}_", text)
+    return text
 
 
 def _constants(table: ShaderTable) -> str:

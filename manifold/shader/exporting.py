@@ -136,15 +136,18 @@ def read_material(source: MaterialSource) -> tuple[BsdfFile, EvaluableBRDF | Non
 
 
 def export(
-    source: MaterialSource, folder: Path, *, tolerance: float = DEFAULT_TOLERANCE, with_picture: bool = False
-) -> Outcome[MaterialSource]:
+    source: MaterialSource, folder: Path, *, tolerance: float = DEFAULT_TOLERANCE, with_picture: bool = False,
+    prefix: str | None = None,
+) -> Outcome[MaterialSource]:  # fmt: skip
     """Write the table, the code in all languages, the layout and the page of a material into a folder.
 
-    With a picture, the source and the shader are also drawn beside each other, balls and slices.
+    With a picture, the source and the shader are also drawn beside each other, balls and slices. Names in the code
+    begin with `prefix`, by default `manifold`: materials of one program need different ones.
     """
+    code.renamed("", prefix)
     made = _export(
-        Input(source.name, source), folder / LAYOUT, tolerance=tolerance, with_pictures=with_picture
-    )
+        Input(source.name, source), folder / LAYOUT, tolerance=tolerance, with_pictures=with_picture, prefix=prefix,
+    )  # fmt: skip
     return Outcome(made["material"], folder / LAYOUT, source, made, notes=tuple(made["notes"]))
 
 
@@ -173,22 +176,23 @@ def _files_of(path: Path, content: Content, *, with_pictures: bool, is_pack: boo
 
 
 def _export(
-    source: Input, path: Path, *, tolerance: float, with_pictures: bool = False, is_pack: bool = False
-) -> Content:
+    source: Input, path: Path, *, tolerance: float, with_pictures: bool = False, is_pack: bool = False,
+    prefix: str | None = None,
+) -> Content:  # fmt: skip
     """Write the files of a material beside its layout, and return that."""
     shader = make_shader(*read_material(source.source), tolerance=tolerance)
     glsl = code.glsl(shader.table, shader.name)
     translations = code.translated(glsl)
     texture = ktx2.content(shader.table.texels)
     texts = {"glsl": glsl, **translations.code}
-    layout = _layout(shader, source, tolerance, len(texture), list(texts))
+    layout = _layout(shader, source, tolerance, len(texture), list(texts)) | {"prefix": prefix or CODE}
     if translations.note is not None:
         layout["notes"].append(translations.note)
     folder = path.parent
     make_folder(folder, "the files of a shader")
     disk.write_bytes(folder / TEXTURE, texture)
     for language, text in texts.items():
-        disk.write_text(folder / f"{CODE}.{language}", text)
+        disk.write_text(folder / f"{CODE}.{language}", code.renamed(text, prefix))
     disk.write_text(folder / PAGE, make_page(layout, glsl, shader.table, shader.reference))
     if is_pack:
         _write_balls(folder / BALLS, shader)

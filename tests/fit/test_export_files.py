@@ -178,7 +178,7 @@ def test_materialx_validates_and_generates_glsl(tmp_path, target):
 @pytest.mark.parametrize("name", MATERIALS)
 def test_usd_opens_gives_the_parameters_back_and_passes_usd_s_validators(tmp_path, name, target):
     usd = pytest.importorskip("pxr.Usd", reason=NO_USD)
-    from pxr import UsdShade, UsdValidation
+    from pxr import Gf, UsdShade, UsdValidation
 
     path, made = written(tmp_path, name, target)
     stage = usd.Stage.Open(str(path))
@@ -189,6 +189,10 @@ def test_usd_opens_gives_the_parameters_back_and_passes_usd_s_validators(tmp_pat
     surface, _, _ = bound.ComputeSurfaceSource()
     assert surface.GetShaderId() == "UsdPreviewSurface"
     same(_inputs(surface, preview_surface.DEFAULTS), made.parameters)
+    colours = [one.GetAttr() for one in surface.GetInputs() if str(one.GetTypeName()) == "color3f"]
+    assert {one.GetColorSpace() for one in colours if one.HasAuthoredValue()} == {
+        Gf.ColorSpaceNames.LinearRec709
+    }
     if target == "usd-materialx":
         second, _, _ = bound.ComputeSurfaceSource("mtlx")
         assert second.GetShaderId() == OPENPBR_ID
@@ -256,6 +260,12 @@ def test_json_has_parameters_conventions_and_the_loss(tmp_path, name, target):
     )
     if target == "unreal":
         assert content["shading_model"] == ("Clear Coat" if name == "full" else "Default Lit")
+    if target == "unity":
+        values = content["parameters"]
+        assert content["shader"] == "HDRP/Lit"
+        assert ("_MATERIAL_FEATURE_CLEAR_COAT" in content["keywords"]) == (values["_CoatMask"] > 0.0)
+        assert ("_MATERIAL_FEATURE_ANISOTROPY" in content["keywords"]) == (values["_Anisotropy"] != 0.0)
+        assert (content["material_type"] == "Anisotropy") == (values["_Anisotropy"] != 0.0)
 
 
 def test_a_name_that_does_not_print_spoils_no_document(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 
@@ -13,6 +14,7 @@ from helpers.three_js import node_modules
 
 from manifold.colour import panel
 from manifold.core.directions import from_spherical, normalize
+from manifold.core.errors import UsageError
 from manifold.shader import code, ktx2
 
 TOOLS = [name for name in ("glslangValidator", "spirv-cross") if shutil.which(name) is None]
@@ -169,6 +171,18 @@ def test_the_code_compiles_in_every_glsl(glsl, tmp_path, version):
     path.write_text(f"#version {version}\n{glsl}\n{use}\n")
     compiled = subprocess.run(["glslangValidator", str(path)], capture_output=True, text=True, check=False)
     assert compiled.returncode == 0, compiled.stdout
+
+
+def test_two_materials_have_names_of_their_own_in_one_program(glsl):
+    renamed = code.renamed(glsl, "dark_copper")
+    names = set(re.findall(r"\b\w+(?= ?[(\[=;])", renamed)) & set(re.findall(r"\b\w+(?= ?[(\[=;])", glsl))
+    assert not any("manifold_" in name.lower() for name in names)
+    assert "vec3 dark_copper_eval(vec3 wi, vec3 wo)" in renamed
+    assert "const ivec2 DARK_COPPER_SIZE" in renamed
+    assert code.renamed("_manifold_table_sampler manifold.ktx2", "a") == "_a_table_sampler manifold.ktx2"
+    for wrong in ("2nd", "a-b", "gl_a", "a__b", ""):
+        with pytest.raises(UsageError, match="expected a name of letters"):
+            code.renamed(glsl, wrong)
 
 
 def test_without_the_tools_there_is_glsl_alone_and_a_note(glsl, monkeypatch):

@@ -148,7 +148,7 @@ def test_a_fit_becomes_a_shader(tmp_path):
         (("--target", "shader", "--tolerance", "0"), "a tolerance of 0, expected more than 0"),
         (("--target", "shader", "-o", "x.glsl"), "x.glsl: named like a file, expected a folder"),
         (("--target", "shader", "--pack", "pack"), "--pack goes with a library or a folder"),
-        (("--tolerance", "1"), "--tolerance goes with --target shader"),
+        (("--tolerance", "1"), "--tolerance and --prefix go with --target shader"),
         (("--target", "shadr"), "no target is called 'shadr'"),
     ],
 )

@@ -127,7 +127,8 @@ def target_of(name: str | None, path: Path) -> Target:
         return target
     fitting = [target for target in TARGETS.values() if target.suffix == path.suffix.lower()]
     if not fitting:
-        raise UsageError(f"{path}: {suffix}, expected one of {EXPORTS_IN_WORDS}")
+        hint = "; a .glb file is a whole glTF file" if path.suffix.lower() == ".gltf" else ""
+        raise UsageError(f"{path}: {suffix}, expected one of {EXPORTS_IN_WORDS}{hint}")
     if path.suffix.lower() == ".json":
         names = ", ".join(target.name for target in fitting)
         raise UsageError(f"{path}: several targets are JSON; name one of {names}")

@@ -15,15 +15,17 @@ from manifold.fit.exports.lobes import ShadingPairs
 from manifold.fit.exports.principled_values import PrincipledValues
 from manifold.fit.exports.targets import Target, uncompared
 
+SHADER = "HDRP/Lit"
+
 PARAMETERS = {
     "_BaseColor": Parameter([1.0, 1.0, 1.0], is_free=True),
     "_Metallic": Parameter(0.0, is_free=True),
     "_Smoothness": Parameter(0.5, is_free=True, high=0.98),
     "_Anisotropy": Parameter(0.0),
-    "_TangentMap": Parameter(0.0),
+    "tangent_deg": Parameter(0.0),
     "_CoatMask": Parameter(0.0, is_free=True),
 }
-"""Every property that exports may set."""
+"""Every property that exports may set, and the angle of the tangent."""
 
 DEFAULTS = defaults(PARAMETERS)
 
@@ -35,9 +37,24 @@ CONVENTIONS: dict[str, str] = {
     "_Metallic": "0 to 1",
     "_Smoothness": "0 to 1; perceptual roughness is 1 minus it, GGX alpha the square of that",
     "_Anisotropy": "-1 to 1; alpha along the tangent (1 + a), across (1 - a) times the square of roughness",
-    "_TangentMap": "degrees, counterclockwise seen from outside, by which a map turns the tangent",
+    "tangent_deg": "degrees, counterclockwise seen from outside, by which the tangent is turned; no property of the "
+    "shader: turn the UVs, or paint a tangent map (_TangentMap) of this direction",
     "_CoatMask": "0 to 1; the coat has index 1.5 and a fixed smoothness",
 }
+
+
+def settings(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the shader, its material type, and the keywords without which coat and anisotropy have no effect.
+
+    Source: `Lit.shader` of HDRP 14; its inspector sets keywords by the properties, scripts set them themselves.
+    """
+    features = {"ANISOTROPY": values["_Anisotropy"], "CLEAR_COAT": values["_CoatMask"]}
+    return {
+        "shader": SHADER,
+        "material_type": "Anisotropy" if values["_Anisotropy"] else "Standard",
+        "keywords": [f"_MATERIAL_FEATURE_{feature}" for feature, value in features.items() if value],
+    }
+
 
 _SMOOTH_COAT = 0.1  # GGX alpha: a rougher coat would turn into a sharp highlight
 _COAT_ALPHA, _F0 = 0.01, 0.04
@@ -52,7 +69,7 @@ def parameters(material: PrincipledValues) -> dict[str, Any]:
         "_Metallic": material.metallic,
         "_Smoothness": 1.0 - float(np.sqrt(_widened(roughness**2, 1.0 / _narrowing(coat)))),
         "_Anisotropy": anisotropy,
-        "_TangentMap": float(np.rad2deg(material.rotation_rad)),
+        "tangent_deg": float(np.rad2deg(material.rotation_rad)),
         "_CoatMask": coat,
     }
 
@@ -66,7 +83,7 @@ def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
     Source: Lit.hlsl, CommonMaterial.hlsl and BSDF.hlsl of HDRP 14: Burley's diffuse term over 1.03571, GGX, Schlick;
     light scattered between facets as Turquin 2019 has it.
     """
-    pairs = pairs.turned(np.deg2rad(values["_TangentMap"]))
+    pairs = pairs.turned(np.deg2rad(values["tangent_deg"]))
     base, m, coat = decode_srgb(np.asarray(values["_BaseColor"])), values["_Metallic"], values["_CoatMask"]
     f0 = _F0 + m * (base - _F0)
     f90 = min(16.5 * float(f0.sum()), 1.0)  # nothing below 2 % is a surface: shadowing
@@ -114,7 +131,7 @@ UNITY = Target(
     entries=PARAMETERS,
     parameters=parameters,
     brdf=brdf,
-    content=lambda export: export.json_file(CONVENTIONS),
+    content=lambda export: export.json_file(CONVENTIONS, **settings(export.parameters)),
     base_colour=BASE_COLOUR,
     coat=COAT,
     colour_space="sRGB-encoded, as Unity's colour properties are",

@@ -13,6 +13,8 @@ from manifold.fit.exports.glb import Mesh
 from manifold.fit.exports.materialx import TURN, identifier
 from manifold.fit.exports.targets import RELIEF, Target
 
+COLOUR_SPACE = "lin_rec709_scene"
+"""OpenUSD's name of linear Rec. 709 (`GfColorSpaceNames`), metadata of colours."""
 OPENPBR_ID = "ND_open_pbr_surface_surfaceshader"
 
 
@@ -136,7 +138,8 @@ def _inputs(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> str:
         if value != defaults[key]:
             kind = {list: "color3f", int: "int"}.get(type(value), "float")
             text = _tuple(value) if isinstance(value, list) else f"{value:.9g}"
-            lines.append(f"{' ' * 16}{kind} inputs:{key} = {text}\n")
+            space = f' (colorSpace = "{COLOUR_SPACE}")' if kind == "color3f" else ""
+            lines.append(f"{' ' * 16}{kind} inputs:{key} = {text}{space}\n")
     return "".join(lines)
 
 

@@ -17,6 +17,7 @@ from manifold.core.errors import FileFormatError, ShapeError, UsageError
 from manifold.core.metrics import Errors
 from manifold.core.records import Bands
 from manifold.estimate import LibraryAtoms
+from manifold.formats import Readings, geometry_ma_t12
 
 WI = mf.directions.from_spherical(0.5, 0.0)
 
@@ -106,6 +107,14 @@ def test_predictions_in_single_precision_are_those_in_double(model):
 
 def test_errors_print_what_is_known():
     assert repr(Errors(ball=1.5, cube_root=0.1)) == "Errors(ball=1.5, cube_root=0.1)"
+
+
+def test_readings_are_completed_in_memory_with_expected_errors(library):
+    truth = mf.MeasuredBRDF(mf.Library(library).read("syn_gloss_red"))
+    wi, wo = geometry_ma_t12()
+    completion = mf.complete_readings(Readings("red", "by hand", wi, wo, None, truth.eval(wi, wo)), library)
+    np.testing.assert_allclose(completion.brdf.eval(wi, wo), truth.eval(wi, wo), rtol=0.05, atol=1e-3)
+    assert 0.0 < completion.expected.cube_root < 1.0
 
 
 def test_a_list_as_out_is_refused(model):

@@ -331,7 +331,7 @@ def test_a_located_file_is_written_as_the_map_reconstructs_it(run, folder, tmp_p
     assert code == 0
     assert found["nearest"][0][0] == "syn_satin_gold"
     assert np.shape(found["colours"]) == (2, 3)  # path coordinates, and gains
-    assert found["output"] == str(output)
+    assert found["path"] == str(output)
     assert MeasuredBRDF(read_bsdf(output)).eval(wi, wo) == pytest.approx(predicted.eval(wi, wo), rel=0.05)
     assert f"latent ({','.join(found['coordinates'])})".replace(",", ", ") in read_bsdf(output).description
 
@@ -427,6 +427,24 @@ def test_a_command_that_fails_leaves_no_json_of_an_earlier_run(run, folder, tmp_
     assert written.exists()
     assert run("info", "absent.zarr", "--json", written, cwd=folder)[0] == 1
     assert not written.exists()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["info", "library.zarr"],
+        ["info", "files/syn_gloss_red_rgb.bsdf"],
+        ["predict", "0,0"],
+        ["find", "syn_gloss_red"],
+        ["locate", "syn_gloss_red"],
+    ],
+)
+def test_the_reference_names_the_keys_of_json(run, folder, arguments):
+    status, out, _ = run(*arguments, "--json", "-", cwd=folder)
+    assert status == 0
+    documented = re.findall(r"`(\w+)`", (REPOSITORY / "docs/reference/json.md").read_text(encoding="utf-8"))
+    assert set(json.loads(out)) <= set(documented)
+    assert json.loads(out)["schema"] == 1
 
 
 def test_a_material_of_the_built_in_library_is_found_there(run, folder):

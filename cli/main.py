@@ -33,6 +33,7 @@ _ALIKE = 0.75  # share of the letters of an option that a mistyped one has
 _EXIT_ERROR = 1
 _EXIT_USAGE = 2
 _EXIT_INTERRUPTED = 130
+_EXIT_PIPE = 141  # as a shell reports a program that SIGPIPE ended
 _Mistyped: Any = typer.BadParameter.__base__  # Click's UsageError, which newer versions of Typer bring along
 
 
@@ -69,8 +70,8 @@ def __getattr__(name: str) -> Any:
 def run(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with its status.
 
-    0: done. 2: the command line cannot be followed. 1: anything else that went wrong, such as a model or a library
-    that is missing or damaged. 130: interrupted.
+    0: done. 2: the command line cannot be followed. 1: anything else that went wrong, such as a file that is missing or
+    damaged, or cannot be written. 130: interrupted. 141: the reader of the output has ended.
     """
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     debug, strict = "--debug" in arguments, "--strict" in arguments
@@ -98,10 +99,11 @@ def run(arguments: list[str] | None = None) -> None:
             raise UsageError("found an empty argument, expected a value")
         group = application.app.only(command)
         status = group(args=arguments or ["--help"], prog_name="manifold", standalone_mode=False)
-    except BrokenPipeError:
+        sys.stdout.flush()
+    except (BrokenPipeError, SystemExit):  # which Click makes of it
         # What reads the output has ended, as `head` does; nothing is printed about it at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        status = _EXIT_ERROR
+        status = _EXIT_PIPE
     except KeyboardInterrupt:
         status = _EXIT_INTERRUPTED
     except Exception as error:
@@ -111,7 +113,8 @@ def run(arguments: list[str] | None = None) -> None:
             if debug:
                 traceback.print_exc()
             print(f"manifold: {_one_line(_message(error, arguments))}", file=sys.stderr)
-            status = _EXIT_USAGE if isinstance(error, UsageError | _Mistyped) else _EXIT_ERROR
+            is_usage = isinstance(error, UsageError | _Mistyped) and not isinstance(error, OSError)
+            status = _EXIT_USAGE if is_usage else _EXIT_ERROR
     if status == _EXIT_INTERRUPTED:
         print("manifold: interrupted; finished outputs are kept", file=sys.stderr)
     sys.exit(status or 0)

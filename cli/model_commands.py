@@ -528,6 +528,6 @@ def _show_reconstruction(
     written = {} if output is None or reconstruction.refusal is not None else {"written to": output}
     results.rows(title, rows | written | reconstruction.rows)
     path = None if not written else str(output)
-    results.document({"path": str(source), "output": path} | reconstruction.to_json())
+    results.document({"source": str(source), "path": path} | reconstruction.to_json())
     if reconstruction.refusal is not None:
         raise ManifoldError(reconstruction.refusal)

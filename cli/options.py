@@ -254,10 +254,11 @@ UnitOption = Annotated[
 
 
 def material_source(text: str, model: Path, library: Path | None) -> MaterialSource:
-    """Return the material that an argument names."""
+    """Return the material that an argument names; without the default model, names are those of the default library."""
     from manifold.estimate.sources import parse_source
 
-    return parse_source(text, model, library or (None if shipped.exists(model) else DEFAULT_LIBRARY))
+    has_model = model != DEFAULT_MODEL or shipped.exists(model)
+    return parse_source(text, model, library or (None if has_model else DEFAULT_LIBRARY))
 
 
 def several_materials(texts: Sequence[str], model: Path, library: Path | None) -> list[MaterialSource]:

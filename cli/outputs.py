@@ -35,7 +35,10 @@ def written(*names: str, help: str, metavar: str = "FILE", hidden: bool = False,
 
 
 def check_all(command: Callable[..., Any], parameters: Mapping[str, Any]) -> None:
-    """Check the outputs among the parameters of a command that begins to run; raises UsageError as `checked`."""
+    """Check the outputs among the parameters of a command that begins to run; raises UsageError as `checked`.
+
+    The JSON of an earlier run is removed: a command that fails leaves none.
+    """
     hints = get_type_hints(command, include_extras=True)
     found = {
         name: each
@@ -50,6 +53,9 @@ def check_all(command: Callable[..., Any], parameters: Mapping[str, Any]) -> Non
             path, folder = checked(Path(given), name), Path(parameters.get("output") or ".")
             if found[name].at_end and (path.parent != folder or path.parent.is_dir()):
                 disk.require_writable(path)
+    results = parameters.get("json")
+    if results is not None and str(results) != "-":
+        Path(os.path.realpath(results)).unlink(missing_ok=True)
 
 
 def or_default(output: Path | None, default: str) -> Path:

@@ -65,7 +65,7 @@ def latent_map(
     results.rows(f"Drawn {output}", rows | (marked.rows if marked is not None else {}))
     results.document(
         {
-            "picture": output,
+            "path": output,
             "marked": marked and marked.latent,
             "left_out": left_out,
             "prediction": marked,
@@ -104,7 +104,7 @@ def walk(
     results.rows(f"Drawn {output}", {"diagnostics": diagnosed} if diagnosed else {})
     results.document(
         {
-            "picture": output,
+            "path": output,
             "predictions": [{"t": t} | made.to_json() for t, made in between.items()],
         }
     )
@@ -154,7 +154,7 @@ def slices(
         results.rows(label[:1].upper() + label[1:], made.rows)
     results.document(
         {
-            "picture": output,
+            "path": output,
             "materials": labels,
             "curves": curves,
             "predictions": predictions,

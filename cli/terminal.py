@@ -31,6 +31,9 @@ _QUICK_SECONDS = 1.0  # work that is done by then needs no line
 _last_line = time.monotonic()
 _last_text = ""
 
+_SCHEMA = (
+    1  # raised where a key of a document is renamed, removed or changes its meaning; docs/reference/json.md
+)
 _MOST_NOTES = 4  # of a result
 _WIDTH = 80  # columns that sentences and lists are broken to; a line with a single long word may be longer
 
@@ -157,7 +160,10 @@ class Results:
 
         from manifold.core.records import plain
 
-        document = {"program": f"manifold {__version__}", **used, **plain(document), "warnings": list(warned)}
+        document = {
+            "program": f"manifold {__version__}", "schema": _SCHEMA, **used, **plain(document),
+            "warnings": list(warned),
+        }  # fmt: skip
         text = json.dumps(document, indent=2, allow_nan=False) + "\n"
         if self._only_json:
             sys.stdout.write(text)

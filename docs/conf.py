@@ -121,6 +121,7 @@ def _make_materials(*_: object) -> None:
 
 
 os.environ["COLUMNS"] = "80"  # of the outputs of cells: as wide as the text
+os.environ["PIP_NO_BUILD_ISOLATION"] = "0"  # cells that install an example need no network
 os.environ["IPYTHONDIR"] = str(WORK / "ipython")  # whose profile begins with shell_cells
 STARTUP = WORK / "ipython" / "profile_default" / "startup"
 STARTUP.mkdir(parents=True, exist_ok=True)

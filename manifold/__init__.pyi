@@ -2,7 +2,9 @@ from . import analytic, colour, dls, gplvm, gpr
 from .brdf.measured import MeasuredBRDF
 from .core import directions, errors, mapping, metrics
 from .core.records import Bands
+from .estimate.reading_completion import complete_readings
 from .fit.principled import fit_bsdf
+from .formats.registry import read_readings
 from .io_rgl import read_bsdf, write_bsdf
 from .library.importing import import_files
 from .library.store import Library
@@ -22,6 +24,7 @@ __all__ = [
     "analytic",
     "built_in",
     "colour",
+    "complete_readings",
     "directions",
     "dls",
     "errors",
@@ -32,6 +35,7 @@ __all__ = [
     "mapping",
     "metrics",
     "read_bsdf",
+    "read_readings",
     "render_ball",
     "write_bsdf",
 ]

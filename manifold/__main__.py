@@ -1,14 +1,19 @@
 """The command `manifold`, also as `python -m manifold`."""
 
 import gc
+import signal
 import sys
 
 
 def run(arguments: list[str] | None = None) -> None:
-    """Load the command line and run it. Loading takes a moment, and Ctrl-C in it is no error."""
+    """Load the command line and run it.
+
+    Loading takes a moment, and Ctrl-C in it is no error; SIGTERM counts as Ctrl-C.
+    """
     # Imports make objects that stay: to look for garbage after every 700 of them takes a twentieth of a prediction.
     gc.set_threshold(100_000)
     try:
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
         from manifold.cli import main
 
         main.run(arguments)

@@ -15,7 +15,7 @@ from pathlib import Path
 import manifold.render.render  # noqa: F401  # registers the plugin
 from manifold.core import shipped
 from manifold.model.manifold import load_model
-from manifold.render.plugin.bsdf import NAME
+from manifold.render.plugin.bsdf import NAME, place_of
 
 
 def bsdf(
@@ -23,6 +23,8 @@ def bsdf(
     **colour: str,
 ) -> dict[str, str | float]:  # fmt: skip
     """Return the dictionary of a prediction for `mi.load_dict`, checked here, where errors are one line.
+
+    Errors of `mi.load_dict` repeat such a line after Mitsuba's own text and a traceback.
 
     Args:
         model: path of the model, or `built-in`.
@@ -34,9 +36,10 @@ def bsdf(
     Raises:
         MissingModelError, ModelError: there is no such model, or it is damaged.
         LatentError, UnknownNameError: the latent has the wrong number of coordinates, or names no material.
+        UsageError: the latent is a step of a walk.
     """
     place = latent if isinstance(latent, str) else ",".join(repr(float(value)) for value in latent)
-    load_model(Path(model), None if library is None else Path(library)).place(place)
+    place_of(load_model(Path(model), None if library is None else Path(library)), place)
     properties: dict[str, str | float] = {
         "type": NAME,
         "model": shipped.named(model),

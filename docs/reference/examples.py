@@ -56,6 +56,15 @@ rgb = mf.Bands(None)
 bands = mf.Bands(range(400, 701, 10))
 bands.count
 
+# manifold.read_readings
+readings = mf.read_readings("sample.xlsx")
+readings.wi, readings.wo, readings.values  # (P, 3), (P, 3), (P, B)
+
+# manifold.complete_readings
+completion = mf.complete_readings(readings)  # with the built-in library
+completion.brdf.eval(wi, wo)  # f in 1/sr, in the bands of the readings
+completion.expected.ball, completion.expected.cube_root
+
 # manifold.fit_bsdf
 fit = mf.fit_bsdf(brdf)
 fit.values, fit.notes

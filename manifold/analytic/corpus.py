@@ -21,7 +21,7 @@ from manifold.colour.conversion import file_to_srgb, luminance
 from manifold.colour.reflectances import diffuse_reflectance, metal_ior
 from manifold.core import progress
 from manifold.core.directions import from_spherical
-from manifold.core.errors import UsageError
+from manifold.core.errors import FileAccessError
 from manifold.core.records import Array, Bands, BsdfFile, Indices
 from manifold.io_rgl import rgl_wavelengths_nm, write_bsdf
 
@@ -422,7 +422,7 @@ def write(
         The paths, in the order of the corpus.
 
     Raises:
-        UsageError: the folder cannot be made.
+        FileAccessError: the folder cannot be made.
     """
     materials = isotropic_materials() + (anisotropic_materials() if anisotropic else ())
     writers = {m.name: lambda path, m=m: write_bsdf(path, measure(m, seed=seed, rgb=rgb)) for m in materials}
@@ -441,7 +441,9 @@ def write_files(
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(f"{folder}: cannot make this folder ({error.strerror}); name another one") from error
+        raise FileAccessError(
+            f"{folder}: cannot make this folder ({error.strerror}); name another one"
+        ) from error
     paths = {name: folder / f"{name}{ending}" for name in writers}
     for name in progress.each(writers, str):
         if not (keep and paths[name].exists()):

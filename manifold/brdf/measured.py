@@ -170,7 +170,7 @@ class MeasuredBRDF(NotebookPicture):
         return out
 
     def eval(self, wi: Array, wo: Array, out: Array | None = None) -> Array:
-        """Return f in 1/sr, shape (..., B).
+        """Return f in 1/sr, shape (..., B); negative where the file is, as RGB files are for colours outside sRGB.
 
         Args:
             wi, wo: unit vectors (..., 3) that broadcast against each other. If both are in single precision, so are the
@@ -230,7 +230,7 @@ class MeasuredBRDF(NotebookPicture):
         return wo.reshape(*shape, 3), pdf.reshape(shape)
 
     def albedo(self, wi: Array, resolution: int = 64) -> Array:
-        """Return the directional albedo, shape (..., B).
+        """Return the directional albedo, shape (..., B), in double precision.
 
         The integral is computed by the midpoint rule on resolution^2 points of the warped unit square, on which the
         integrand is smooth: it is nearly the stored spectrum.

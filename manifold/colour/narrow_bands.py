@@ -62,7 +62,11 @@ def with_spectra(readings: Readings) -> Readings:
         "a smaller error"
     )
     estimated = replace(
-        readings, wavelengths_nm=np.array(SPECTRUM.wavelengths_nm), values=values, colour_error=median
+        readings,
+        wavelengths_nm=np.array(SPECTRUM.wavelengths_nm),
+        values=values,
+        colour_error=median,
+        estimated_from=readings.bands.count,
     )
     return estimated.with_note(note)
 

@@ -12,7 +12,7 @@ from glob import glob, has_magic
 from pathlib import Path
 from typing import Any
 
-from manifold.core.errors import FileFormatError, ManifoldError, MissingFileError, UsageError
+from manifold.core.errors import FileAccessError, FileFormatError, ManifoldError, MissingFileError, UsageError
 
 
 @contextmanager
@@ -69,8 +69,8 @@ def write_bytes(path: Path, content: bytes) -> None:
         partial.write_bytes(content)
 
 
-def _cannot_write(path: Path, reason: str) -> UsageError:
-    return UsageError(f"{path}: cannot write this file ({reason}); check the folder, or name another")
+def _cannot_write(path: Path, reason: str) -> FileAccessError:
+    return FileAccessError(f"{path}: cannot write this file ({reason}); check the folder, or name another")
 
 
 def require_lockable(path: Path) -> None:
@@ -87,14 +87,14 @@ def read_bytes(path: Path, *, advice: str, most: int) -> bytes:
     """Return the content of a regular file of at most `most` bytes; `advice` ends the error message."""
     if not os.path.isfile(path):  # a pipe would block, and a device need not end
         if os.path.exists(path):
-            raise UsageError(f"{path}: not a regular file; {advice}")
+            raise FileAccessError(f"{path}: not a regular file; {advice}")
         raise MissingFileError(f"{path}: no such file; {advice}")
     try:
         with path.open("rb") as stream:
             size = os.fstat(stream.fileno()).st_size
             content = stream.read(min(size, most) + 1)  # which allocates as much before it reads
     except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error.strerror}); {advice}") from error
+        raise FileAccessError(f"{path}: cannot be read ({error.strerror}); {advice}") from error
     if len(content) > most:
         raise UsageError(f"{path}: more than {most} bytes; {advice}")
     return content

@@ -17,6 +17,7 @@ exception that Python raises in such a case:
 | `RendererError` | `RuntimeError` | Mitsuba or a backend of it is missing |
 | `UsageError` | `ValueError` | a value given by the user cannot be used |
 | `MissingFileError` | `UsageError`, `FileNotFoundError` | there is no such file |
+| `FileAccessError` | `UsageError`, `OSError` | a file cannot be read, or cannot be written |
 | `UnknownNameError` | `UsageError`, `KeyError` | nothing has such a name |
 | `MissingPackageError` | `ImportError` | an optional package is not installed |
 | `LatentError` | `UsageError`, `ShapeError` | a latent has the wrong number of values, or values that are not finite |
@@ -81,6 +82,10 @@ class UsageError(ManifoldError, ValueError):
 
 class MissingFileError(UsageError, FileNotFoundError):
     """There is no such file."""
+
+
+class FileAccessError(UsageError, OSError):
+    """A file or folder cannot be read, or cannot be written."""
 
 
 class UnknownNameError(UsageError, KeyError):

@@ -62,6 +62,9 @@ class Errors(Generic[Number]):
     colours: Mapping[str, Number] = field(default_factory=dict)
     angles_deg: Mapping[str, Number] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        return f"Errors({', '.join(f'{name}={value!r}' for name, value in self.known.items())})"
+
     @classmethod
     def of_values(cls, f: Array, f_star: Array, weight: Array | float = 1.0) -> Errors[float]:
         """Return the cube-root and linear errors; the arguments are those of `relative_error`."""

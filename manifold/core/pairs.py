@@ -38,6 +38,11 @@ def flat_samples(wi: Array, u: Array) -> tuple[Array, Array, tuple[int, ...]]:
     return flat_wi.reshape(-1, 3), flat_u.reshape(-1, 2), shape
 
 
+def value_type(*vectors: Array) -> DTypeLike:
+    """Return the type of values at directions: single precision if all directions are, else double."""
+    return np.float32 if all(np.asarray(each).dtype == np.float32 for each in vectors) else np.float64
+
+
 def as_rows(vectors: Array, others: Array, name: str, width: int = 3) -> tuple[Array, Array, tuple[int, ...]]:
     """Return directions (..., 3) and others (..., width) as contiguous rows, and the shape that they broadcast to.
 
@@ -45,7 +50,7 @@ def as_rows(vectors: Array, others: Array, name: str, width: int = 3) -> tuple[A
     their values: passes of NumPy would take as long as the values of an RGB file.
     """
     vectors, others = np.asarray(vectors), np.asarray(others)
-    dtype: DTypeLike = np.float32 if vectors.dtype == others.dtype == np.float32 else np.float64
+    dtype = value_type(vectors, others)
     if vectors.ndim == 0 or vectors.shape[-1] != 3:
         raise ShapeError(f"wi has shape {vectors.shape}, expected (..., 3)")
     if others.ndim == 0 or others.shape[-1] != width:
@@ -125,9 +130,9 @@ class Pairs:
         """cos(theta_i) cos(theta_o), shape (K,)."""
         return cosine_weight(self.wi, self.wo)
 
-    def results(self, count: int, out: Array | None) -> Array:
-        """Return the array for `count` values per pair, (..., count): `out`, which must fit, or new memory."""
-        return results((*self.shape, count), out)
+    def results(self, count: int, out: Array | None, dtype: DTypeLike = np.float64) -> Array:
+        """Return the array for `count` values per pair, (..., count): `out`, which must fit, or a new one."""
+        return results((*self.shape, count), out, dtype)
 
     def turned(self, angle_rad: float) -> tuple[Array, Array]:
         """Rotate both directions about the normal; return two arrays (K, 3)."""

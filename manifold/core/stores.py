@@ -220,10 +220,13 @@ class RemoteStore:
             ) from error
         except Exception as error:  # of protocols and servers: no common class
             reason = str(error).partition("\n")[0] or type(error).__name__
-            raise LibraryError(
-                f"{address}: no library can be read there ({reason}); name the address of a folder made by "
-                "`manifold import`"
-            ) from error
+            is_zip = address.lower().endswith(".zip")
+            remedy = (
+                "download a zip file and name that"
+                if is_zip
+                else "name the address of a folder made by `manifold import`"
+            )
+            raise LibraryError(f"{address}: no library can be read there ({reason}); {remedy}") from error
         if below is None:
             raise LibraryError(
                 f"{address}: its {MATERIALS}/{METADATA} lacks the metadata of the materials, as versions before 0.5 "

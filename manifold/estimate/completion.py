@@ -13,6 +13,7 @@ from manifold.colour import panel
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000_lab, lab_values
 from manifold.core.directions import angles_from_mirror
+from manifold.core.metrics import Errors
 from manifold.core.records import Array, Bands, Mask
 from manifold.estimate.atoms import LibraryAtoms, ball_coordinates, grid_coordinates, shown_shares
 from manifold.estimate.channels import Channels
@@ -77,12 +78,14 @@ class Completion:
         evidence: what was observed.
         solution: how atoms explain it, in the bands of the readings or the channels of the camera.
         written: BRDF of the written file, for which the errors hold; None if they hold for the completion itself.
+        expected: expected errors, as `complete_readings` adds them; None from `of`, see `calibrate`.
     """
 
     atoms: LibraryAtoms
     evidence: Evidence
     solution: Solution
     written: BRDF | None = None
+    expected: Errors[float] | None = None
 
     @classmethod
     def of(

@@ -91,7 +91,7 @@ class Completed(Result):
         row="readings", columns={"readings": ()},
         words=lambda result: result.readings
         and f"{result.sample}: {counted(result.readings, 'reading')}, {result.instrument}, "
-        f"{result.completion.readings.bands}",
+        f"{result.completion.readings.bands_in_words}",
     )  # fmt: skip
     def readings(self) -> int | None:
         """Number of readings; None without."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from manifold.core import shipped
-from manifold.core.errors import ManifoldError, MissingFileError, UnknownNameError
+from manifold.core.errors import ManifoldError, MissingFileError, ModelError, UnknownNameError
 from manifold.core.names import names_like
 from manifold.core.records import BsdfFile
 from manifold.formats.recognition import require_no_export
@@ -89,6 +89,7 @@ def parse_source(text: str, model: Path, library: Path | None = None) -> Materia
     if os.path.isfile(path) or shipped.is_elsewhere(path):
         require_no_export(path)
         return FileSource(path)
+    failure: ManifoldError | None = None
     looks_like_file = "/" in text or _FILE_ENDING.fullmatch(path.suffix) is not None
     try:
         known, names = _names(model, library)
@@ -96,8 +97,10 @@ def parse_source(text: str, model: Path, library: Path | None = None) -> Materia
             f"neither a file, nor a material of {known.name} ({names_like(names, text)}), nor a place on a map (X,Y or "
             "FROM:TO:T)"
         )
+        if known != shipped.BUILT_IN and text in shipped.about()["materials"]:
+            unknown += f"; the built-in library holds it: add {'-M' if library is None else '-L'} built-in"
     except ManifoldError as error:
-        known, names = Path(), ()
+        known, names, failure = Path(), (), error
         unknown = f"neither a file nor a place on a map, and there is no library to look it up in: {error}"
     if text in names:
         return LibrarySource(known, text)
@@ -109,6 +112,8 @@ def parse_source(text: str, model: Path, library: Path | None = None) -> Materia
         raise MissingFileError(
             f"{text}: no such file or folder; give a file, a material of a library, or a place on a map"
         )
+    if isinstance(failure, ModelError):
+        raise failure
     raise UnknownNameError(f"'{text}' is {unknown}")
 
 

@@ -107,6 +107,7 @@ class Readings:
         scatter: relative standard deviation of the cube roots of repeated readings, shape (P,); 0 for pairs without
             repetition.
         colour_error: expected CIEDE2000 of spectra that were estimated from fewer bands; 0 for measured spectra.
+        estimated_from: number of those bands; None for measured spectra.
         notes: ambiguities of the file and how they were read, one sentence each.
         texture: texture data of the instrument (graininess, sparkle, flake images) by name, as plain values.
         gloss: gloss units of a gloss meter (ISO 2813) by its angle in degrees: 20, 60 or 85.
@@ -131,11 +132,19 @@ class Readings:
     gloss: Mapping[float, float] = field(default_factory=lambda: MappingProxyType({}))
     scatter: Array = field(default_factory=lambda: np.zeros(0))
     colour_error: float = 0.0
+    estimated_from: int | None = None
     repeatability: float = REPEATABILITY
     assumed_unit: str | None = None
     viewing: Viewing = DAYLIGHT
     is_viewing_assumed: bool = False
     between: Between | None = None
+
+    @property
+    def bands_in_words(self) -> str:
+        """Return the bands, and from how many their spectra were estimated."""
+        if self.estimated_from is None:
+            return str(self.bands)
+        return f"{self.estimated_from} bands, estimated at {str(self.bands).replace(' bands', '')}"
 
     def __post_init__(self) -> None:
         """Check shapes and values, and make arrays read-only."""

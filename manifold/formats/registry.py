@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from manifold.core.errors import FileFormatError, ManifoldError, UnknownNameError, UsageError
+from manifold.core.errors import FileAccessError, FileFormatError, ManifoldError, UnknownNameError, UsageError
 from manifold.core.names import first_few, names_like, printable
 from manifold.formats.dense import DenseTable
 from manifold.formats.foreign import name_format
@@ -75,7 +75,7 @@ def _head(path: Path) -> bytes:
         with path.open("rb") as stream:
             return stream.read(_SNIFFED)
     except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error.strerror}); check the path") from error
+        raise FileAccessError(f"{path}: cannot be read ({error.strerror}); check the path") from error
 
 
 def unknown(path: Path) -> FileFormatError:

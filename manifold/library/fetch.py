@@ -128,7 +128,7 @@ def fetch(
         raise UsageError("found rgb and anisotropic, expected one: anisotropic files are spectral")
     known = (rgb_table() if rgb else rgl_table()) if table is None else table
     entries = {e.file: e for e in select(names, known, anisotropic)}
-    _require_url(base_url)
+    host = _require_url(base_url)
     folder = Path(to)
     require_outside_libraries(folder, into=True)
     try:
@@ -175,7 +175,11 @@ def fetch(
             (folder / file).unlink()
             failed[entry.name] = f"no checksum known, and the content is not a valid file: {error}"
         except (OSError, ValueError) as error:
-            failed[entry.name] = " ".join(str(error).split())
+            is_refused = isinstance(error, requests.ConnectionError) and hasattr(error.args[0], "reason")
+            reason = (
+                f"no network (host {host} cannot be reached)" if is_refused else " ".join(str(error).split())
+            )
+            failed[entry.name] = reason
             is_reachable &= bool(downloaded) or not isinstance(error, requests.ConnectionError)
         meter.end()
     there = [path for path in (*downloaded, *present) if entries[path.name].name not in failed]
@@ -198,14 +202,15 @@ def _remove_damaged(path: Path) -> None:
         path.unlink()
 
 
-def _require_url(url: str) -> None:
-    """Raise UsageError unless a text is a plain web address."""
+def _require_url(url: str) -> str:
+    """Return the host of a plain web address. Raises UsageError for another text."""
     try:
         parts = urlsplit(url)
     except ValueError:
         parts = urlsplit("")
     if parts.scheme not in ("http", "https") or not parts.hostname or parts.query or parts.fragment:
         raise UsageError(f"{url}: not the web address of a folder; expected http://... or https://...")
+    return parts.hostname
 
 
 class _Meter:

@@ -167,7 +167,7 @@ def find_files(
         if source.is_dir():
             inside = sorted(path for path in _walk(source) if path.is_file() and is_wanted(path))
             if not inside:
-                raise UsageError(f"{source}: holds no {what}; name a folder that does, or the files")
+                raise MissingFileError(f"{source}: holds no {what}; name a folder that does, or the files")
             found.update(dict.fromkeys(inside))
         elif source.exists():
             found[source] = None

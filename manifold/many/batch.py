@@ -28,7 +28,7 @@ from manifold.brdf.interface import BRDF, EvaluableBRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.core import disk, progress, work
-from manifold.core.errors import FileFormatError, ManifoldError, UsageError
+from manifold.core.errors import FileAccessError, FileFormatError, ManifoldError, UsageError
 from manifold.core.names import printable
 from manifold.core.records import Array, BsdfFile
 from manifold.estimate.attributes import lab_of
@@ -434,7 +434,9 @@ def only_run_in(folder: Path, what: str) -> Iterator[None]:
             f"{folder}: another run writes to this folder; wait until it is done, or name another folder"
         ) from None
     except OSError as error:
-        raise UsageError(f"{folder}: cannot be written ({error.strerror}); name another folder") from error
+        raise FileAccessError(
+            f"{folder}: cannot be written ({error.strerror}); name another folder"
+        ) from error
     try:
         yield
     finally:
@@ -499,7 +501,7 @@ class OutputIndex:
             with self._path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(entry | {"digest": _digest(entry)}, allow_nan=False) + "\n")
         except OSError as error:
-            raise UsageError(
+            raise FileAccessError(
                 f"{self._path}: cannot be written ({error.strerror}); check the folder"
             ) from error
 

@@ -22,7 +22,7 @@ from manifold.brdf.wrapper import WrappedBRDF
 from manifold.core.directions import half_vector, require_directions
 from manifold.core.errors import ShapeError, UsageError
 from manifold.core.mapping import CubeRoot, Identity, ValueMapping
-from manifold.core.pairs import Pairs
+from manifold.core.pairs import Pairs, value_type
 from manifold.core.records import Array, Bands
 from manifold.core.threads import one_blas_thread, share_out
 from manifold.model.combination import Combination
@@ -173,14 +173,15 @@ class PredictedBRDF(NotebookPicture):
         return turned
 
     def eval(self, wi: Array, wo: Array, out: Array | None = None) -> Array:
-        """Return f in 1/sr, shape (..., B), at unit vectors (..., 3) that broadcast; negative only if weights are.
+        """Return f in 1/sr, shape (..., B), at unit vectors (..., 3) that broadcast.
 
-        `out` and errors as in `MeasuredBRDF.eval`.
+        Negative values occur if weights are negative, and at a material's own latent if its file has some. `out`,
+        precision and errors are as in `MeasuredBRDF.eval`.
         """
         if self._measured is not None and out is None:
             return self._measured.eval(wi, wo)
         pairs = Pairs(wi, wo)
-        out = pairs.results(self.bands.count, out)
+        out = pairs.results(self.bands.count, out, value_type(wi, wo))
         if self._measured is not None:
             out[...] = self._measured.eval(wi, wo)
             return out
@@ -234,6 +235,8 @@ class PredictedBRDF(NotebookPicture):
 
     def albedo(self, wi: Array, resolution: int = 48) -> Array:
         """Return the directional albedo (..., B) at unit vectors wi (..., 3), by quadrature over half vectors.
+
+        It is in double precision.
 
         `resolution` is the number of nodes per axis, at least 4.
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from manifold.core import disk, shipped
-from manifold.core.errors import UsageError
+from manifold.core.errors import MissingFileError
 from manifold.core.extras import require
 from manifold.library.identity import require_outside_libraries
 from manifold.model.blend_space import require_blends
@@ -52,7 +52,7 @@ def server(
     The page's actions write into the folder; port 0 is any that is free; surfaces are as of `write_page`.
     """
     if not folder.is_dir():
-        raise UsageError(f"{folder}: no such folder")
+        raise MissingFileError(f"{folder}: no such folder; make it, or name another")
     require("jsonschema")  # requests are checked with it
     require_outside_libraries(folder, into=True)
     loaded = _load(model, library)

@@ -27,7 +27,7 @@ from manifold.gp.encoding import encoding_pairs
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.model.manifold import Manifold
 
-RUN = "import sys; from manifold.cli.main import run; run(sys.argv[1:])"
+RUN = "import sys; from manifold.__main__ import run; run(sys.argv[1:])"
 
 
 def start(*arguments, cwd, **options):
@@ -119,12 +119,15 @@ def test_mistyped_commands_and_options_are_usage_errors(run, tmp_path, arguments
     ("arguments", "expected", "words"),
     [
         (["embed"], 1, "manifold import"),
-        (["embed", "-o", "absent/m.h5"], 2, "absent/m.h5: cannot write this file"),
+        (["embed", "-o", "absent/m.h5"], 1, "absent/m.h5: cannot write this file"),
         (["predict", "--latent", "0,0", "-M", "absent.h5"], 1, "manifold embed"),
         (["report", "-M", "absent.h5"], 1, "manifold embed"),
-        (["import", "absent"], 2, "absent"),
-        (["complete", "absent"], 2, "give readings files, or folders that contain them"),
-        (["import", "."], 2, "bsdf"),
+        (["predict", "cardboard", "-M", "absent.h5"], 1, "absent.h5: no such model"),
+        (["info", "absent.bsdf"], 1, "absent.bsdf: no such file"),
+        (["slices", "absent.bsdf"], 1, "absent.bsdf: no such file"),
+        (["import", "absent"], 1, "absent"),
+        (["complete", "absent"], 1, "give readings files, or folders that contain them"),
+        (["import", "."], 1, "bsdf"),
         (["fetch", "satin_golt"], 2, "satin_gold"),
         (["info", "x.txt", "--verify"], 2, "only libraries can be verified"),
         (["info", "x.txt"], 1, "found a text file"),
@@ -134,7 +137,7 @@ def test_mistyped_commands_and_options_are_usage_errors(run, tmp_path, arguments
         (["report", "-M", "."], 1, "a folder, expected a model"),
         (["demo", "x.txt"], 1, "x.txt"),
         (["budget", "--example", "felt", "-o", "felt.png"], 2, "expected a folder; --picture draws"),
-        (["corpus", "x.txt/sub"], 2, "cannot make this folder"),
+        (["corpus", "x.txt/sub"], 1, "cannot make this folder"),
         (["fetch", "satin_gold", "--base-url", "ftp://x"], 2, "http"),
     ],
 )
@@ -330,7 +333,7 @@ def test_a_located_file_is_written_as_the_map_reconstructs_it(run, folder, tmp_p
     assert code == 0
     assert found["nearest"][0][0] == "syn_satin_gold"
     assert np.shape(found["colours"]) == (2, 3)  # path coordinates, and gains
-    assert found["output"] == str(output)
+    assert found["path"] == str(output)
     assert MeasuredBRDF(read_bsdf(output)).eval(wi, wo) == pytest.approx(predicted.eval(wi, wo), rel=0.05)
     assert f"latent ({','.join(found['coordinates'])})".replace(",", ", ") in read_bsdf(output).description
 
@@ -416,8 +419,40 @@ def test_a_pipe_gets_plain_text_and_may_close_early(folder):
     assert all(name in out for name in NAMES)
     process = start("info", "library.zarr", cwd=folder)
     process.stdout.close()
-    process.wait(timeout=120)
+    assert process.wait(timeout=120) == 141
     assert process.stderr.read() == ""
+
+
+def test_a_command_that_fails_leaves_no_json_of_an_earlier_run(run, folder, tmp_path):
+    written = tmp_path / "results.json"
+    assert run("info", "library.zarr", "--json", written, cwd=folder)[0] == 0
+    assert written.exists()
+    assert run("info", "absent.zarr", "--json", written, cwd=folder)[0] == 1
+    assert not written.exists()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["info", "library.zarr"],
+        ["info", "files/syn_gloss_red_rgb.bsdf"],
+        ["predict", "0,0"],
+        ["find", "syn_gloss_red"],
+        ["locate", "syn_gloss_red"],
+    ],
+)
+def test_the_reference_names_the_keys_of_json(run, folder, arguments):
+    status, out, _ = run(*arguments, "--json", "-", cwd=folder)
+    assert status == 0
+    documented = re.findall(r"`(\w+)`", (REPOSITORY / "docs/reference/json.md").read_text(encoding="utf-8"))
+    assert set(json.loads(out)) <= set(documented)
+    assert json.loads(out)["schema"] == 1
+
+
+def test_a_material_of_the_built_in_library_is_found_there(run, folder):
+    status, _, err = run("find", "acrylic_felt_white", cwd=folder)
+    assert status == 2
+    assert "the built-in library holds it: add -L built-in" in one_line(err)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
@@ -462,12 +497,13 @@ def test_an_interruption_that_compiled_code_wraps_is_an_interruption(run, monkey
     assert "interrupted" in one_line(err)
 
 
-def test_an_interruption_leaves_nothing_half_written(tmp_path):
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_an_interruption_leaves_nothing_half_written(tmp_path, sent):
     process = start("corpus", "out", cwd=tmp_path)
     deadline = time.monotonic() + 150
     while not list(tmp_path.glob("out/[!.]*_spec.bsdf")) and time.monotonic() < deadline:
         time.sleep(0.05)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(sent)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "interrupted" in err.splitlines()[-1]  # after a line of progress where the machine is busy

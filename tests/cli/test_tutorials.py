@@ -46,13 +46,16 @@ def commands_of(cell):
 
 
 def run(program, text, folder):
-    """Run text, given on stdin, as a user would who installed the package beside this Python."""
+    """Run text, given on stdin, as a user would who installed the package beside this Python.
+
+    pip builds packages with the setuptools of this environment, which needs no network.
+    """
     path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
     done = subprocess.run(
         program,
         input=text,
         cwd=folder,
-        env=os.environ | {"PATH": path, "MPLBACKEND": "agg"},
+        env=os.environ | {"PATH": path, "MPLBACKEND": "agg", "PIP_NO_BUILD_ISOLATION": "0"},
         text=True,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,

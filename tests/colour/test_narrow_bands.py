@@ -35,6 +35,13 @@ def known() -> tuple[Array, Array]:
     return spectra, spectra @ (sensors / sensors.sum(axis=1, keepdims=True)).T
 
 
+def test_the_bands_that_were_read_are_named():
+    wi = from_spherical(np.array([0.8]), 0.0)
+    readings = Readings("red", "by hand", wi, wi, np.array(NARROW.wavelengths_nm), np.full((1, 3), 0.1))
+    assert with_spectra(readings).bands_in_words == "3 bands, estimated at 31, 400.0 to 700.0 nm"
+    assert readings.bands_in_words == str(NARROW)
+
+
 def test_neutral_colours_stay_neutral_and_estimates_are_in_proportion(rng):
     np.testing.assert_allclose(estimate_spectra(np.full((2, 3), 0.3), NARROW), 0.3)
     values = rng.random((20, 3))

@@ -294,19 +294,19 @@ def test_the_command_reports_the_error_and_what_was_assumed(files, tmp_path, cap
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "code", "words"),
     [
-        (["-o", "out.xyz"], "suffix '.xyz'"),
-        (["-o", "out.dat", "--format", "obj"], "no format is called 'obj'; expected one of rgl, merl"),
-        (["-o", "out.csv", "--sample", "other"], "no sample 'other'"),
-        (["-o", "missing/out.csv"], "cannot write"),
+        (["-o", "out.xyz"], 2, "suffix '.xyz'"),
+        (["-o", "out.dat", "--format", "obj"], 2, "no format is called 'obj'; expected one of rgl, merl"),
+        (["-o", "out.csv", "--sample", "other"], 2, "no sample 'other'"),
+        (["-o", "missing/out.csv"], 1, "cannot write"),
     ],
 )
-def test_what_cannot_be_converted_is_a_line(files, arguments, words, capsys, tmp_path, monkeypatch):
+def test_what_cannot_be_converted_is_a_line(files, arguments, code, words, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as leaving:
         run(["convert", str(files["csv"]), *arguments])
-    assert leaving.value.code == 2
+    assert leaving.value.code == code
     assert words in capsys.readouterr().err
 
 

@@ -247,7 +247,7 @@ def test_a_refused_output_loses_neither_place_nor_errors(run, folder, monkeypatc
     assert "reconstruction error" in out
     assert "written to" not in out
     found = json.loads((folder / "found.json").read_text())
-    assert found["output"] is None
+    assert found["path"] is None
     assert found["refusal"] in " ".join(err.split())
     assert found["errors"]["ball"] >= 0.0
     assert command == "reconstruct" or len(found["latent"]) == 2

@@ -178,6 +178,7 @@ def test_a_server_that_cannot_be_reached_ends_the_whole_fetch(tmp_path: Path) ->
     with pytest.raises(IncompleteFetchError) as error:
         fetch(None, tmp_path, base_url="http://127.0.0.1:9", table=table("a", "b"), **QUICK)
     assert list(error.value.failed) == ["a", "b"]
+    assert error.value.failed["a"] == "no network (host 127.0.0.1 cannot be reached)"
     assert error.value.failed["b"] == "not tried"
     assert "2 of 2 files failed" in str(error.value)
 

@@ -14,8 +14,10 @@ import manifold as mf
 from manifold.analytic.base import Lambert
 from manifold.brdf.wrapper import WrappedBRDF
 from manifold.core.errors import FileFormatError, ShapeError, UsageError
+from manifold.core.metrics import Errors
 from manifold.core.records import Bands
 from manifold.estimate import LibraryAtoms
+from manifold.formats import Readings, geometry_ma_t12
 
 WI = mf.directions.from_spherical(0.5, 0.0)
 
@@ -93,6 +95,26 @@ def test_an_azimuth_that_is_not_finite_is_refused(model, is_predicted):
 def test_what_an_argument_cannot_be_is_said(call, words):
     with pytest.raises(UsageError, match=words):
         call()
+
+
+def test_predictions_in_single_precision_are_those_in_double(model):
+    single = WI.astype(np.float32)
+    for brdf in (model.predict(model.X.mean(0)), model.predict(model.names[0])):
+        found = brdf.eval(single, single)
+        assert found.dtype == np.float32
+        np.testing.assert_allclose(found, brdf.eval(WI, WI), rtol=1e-4)
+
+
+def test_errors_print_what_is_known():
+    assert repr(Errors(ball=1.5, cube_root=0.1)) == "Errors(ball=1.5, cube_root=0.1)"
+
+
+def test_readings_are_completed_in_memory_with_expected_errors(library):
+    truth = mf.MeasuredBRDF(mf.Library(library).read("syn_gloss_red"))
+    wi, wo = geometry_ma_t12()
+    completion = mf.complete_readings(Readings("red", "by hand", wi, wo, None, truth.eval(wi, wo)), library)
+    np.testing.assert_allclose(completion.brdf.eval(wi, wo), truth.eval(wi, wo), rtol=0.05, atol=1e-3)
+    assert 0.0 < completion.expected.cube_root < 1.0
 
 
 def test_a_list_as_out_is_refused(model):

@@ -537,10 +537,26 @@ def test_a_latent_may_be_a_list_a_point_or_an_array(models, rng):
         (("nothing.h5", [0, 0]), MissingModelError),
         ((None, [0, 0, 0]), LatentError),
         ((None, "nobody"), UnknownNameError),
+        ((None, "{}:{}:0.5"), UsageError),
     ],
 )
 def test_the_dictionary_of_a_bsdf_is_refused_in_one_line(models, arguments, error):
     model, latent = arguments
+    if latent == "{}:{}:0.5":
+        latent = latent.format(*Manifold.load(models["rgb"]).names[:2])
     with pytest.raises(error) as caught:
         plugin.bsdf(model or models["rgb"], latent)
     assert "\n" not in str(caught.value)
+    assert "FROM:TO:T" not in str(caught.value)  # which the plugin refuses
+    assert ("model.between('" in str(caught.value)) == (error is UsageError)
+
+
+def test_a_mono_variant_is_refused_when_the_scene_loads(models):
+    mi = backend.mitsuba("rgb")
+    before = mi.variant()
+    mi.set_variant("llvm_ad_mono")
+    try:
+        with pytest.raises(Exception, match="needs an RGB or spectral variant"):
+            mi.load_dict({"type": "manifold", "model": str(models["rgb"]), "latent": "0,0"})
+    finally:
+        mi.set_variant(before)

@@ -6,7 +6,8 @@ Scenes name it after `import manifold.mitsuba`, in LLVM variants (scalar ones wo
 
 Every evaluation loops over the materials, inverts each one's warp, and sums `T^-1(sum_i v_i T(f_i))`; densities come
 along, since sampling draws from a mixture of the materials' own warps with shares |v_i|. What `Manifold.predict`
-gives in float64 is what this gives in float32; negative values are cut, as in written files. At a wavelength, f_i
+gives in float64 is what this gives in float32; negative values are cut, as in written files, but at a material's own
+latent they are kept, as in Mitsuba's `measured`. At a wavelength, f_i
 is that of the nearest band where bands are at most 5 nm apart, and linear between them where they are not.
 
 Properties:
@@ -37,8 +38,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from manifold.core.errors import UsageError
+from manifold.core.errors import UnknownNameError, UsageError
+from manifold.core.names import names_like
 from manifold.model.colours import ColourChoice
+from manifold.model.places import Place, parse_coordinates, parse_walk
 from manifold.render import backend
 
 if TYPE_CHECKING:
@@ -57,6 +60,8 @@ def register(variant: str) -> None:
     mi = backend.mitsuba_of_any_variant()
     if "llvm" not in variant and "cuda" not in variant:
         mi.register_bsdf(NAME, _refuse)
+    elif "mono" in variant:
+        mi.register_bsdf(NAME, _refuse_mono)
     else:
         mi.register_bsdf(NAME, _plugin_class(mi, variant))
 
@@ -65,6 +70,13 @@ def _refuse(properties: Any) -> Any:
     raise UsageError(
         "the plugin `manifold` needs an LLVM variant of Mitsuba; install libLLVM 17 or newer, or write the "
         "prediction with `manifold predict` and use Mitsuba's `measured`"
+    )
+
+
+def _refuse_mono(properties: Any) -> Any:
+    raise UsageError(
+        "the plugin `manifold` needs an RGB or spectral variant of Mitsuba: a mono one has a single channel; set "
+        "llvm_ad_rgb for RGB materials, llvm_ad_spectral for spectral ones"
     )
 
 
@@ -176,18 +188,29 @@ def _read_latent(mi: Any, properties: Any, model: Manifold) -> tuple[list[Any], 
     given_latent = properties["latent"]
     if not isinstance(given_latent, str):  # a point, or an array of Dr.Jit
         given_latent = ",".join(repr(float(value)) for value in np.ravel(np.array(given_latent)))
-    place = model.place(given_latent)
-    if place.walk is not None:
-        raise UsageError(
-            f"plugin manifold: latent is '{given_latent}', a step of a walk, which no latent makes; write it "
-            "to a file with `manifold predict`"
-        )
+    place = place_of(model, given_latent)
     colour = ColourChoice(
         like=str(properties["like"]) if "like" in properties else None,
         reflectance=_optional_path(properties, "reflectance"),
         srgb=str(properties["srgb"]) if "srgb" in properties else None,
     )
     return [], FixedLatent.of(model, place, colour, tolerance)
+
+
+def place_of(model: Manifold, latent: str) -> Place:
+    """Return the place of coordinates or a material; a step of a walk, which no latent makes, is an error."""
+    if latent not in model.names and parse_coordinates(latent) is None:
+        if (walk := parse_walk(latent, model.names)) is None:
+            raise UnknownNameError(
+                f"plugin manifold: latent is '{latent}', expected coordinates such as -0.3,1.2, or a material of the "
+                f"model ({names_like(model.names, latent)})"
+            )
+        if model.place(latent).walk is not None:
+            raise UsageError(
+                f"plugin manifold: latent is '{latent}', a step of a walk, which no latent makes; give the coordinates "
+                f"model.between{walk} on the map between the two, or write the step to a file with `manifold predict`"
+            )
+    return model.place(latent)
 
 
 def _finite_texture(mi: Any, properties: Any, name: str) -> Any:

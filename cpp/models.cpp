@@ -258,6 +258,7 @@ Search search_of(Matrix<double> &X, Matrix<double> &K, Matrix<double> &P, Matrix
     for (const auto &size : {K.shape(0), K.shape(1), P.shape(0), P.shape(1), S.shape(0), S.shape(1), work.shape(1)})
         require(size == N, "expected matrices (N, N) for latents (N, Q)");
     require(N >= 1 && work.shape(0) == 4 && state.size() == 5, "expected work of shape (4, N) and a state of five");
+    require(family >= 0 && family < 3, "expected a kernel of `radial_of_pair`");
     double *w = work.data();
     return {X.data(), K.data(), P.data(), S.data(), w, w + N, w + 2 * N, w + 3 * N, state.data(),
             ptrdiff_t(N), ptrdiff_t(X.shape(1)), family, inverse_l2, n_outputs, prior};

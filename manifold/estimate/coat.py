@@ -153,7 +153,7 @@ class Coated(Result):
     @property
     def missed_in_words(self) -> list[str]:
         """What was asked for and not reached, which is no part of errors measured where it is reached."""
-        off = [f"colour by CIEDE2000 {self.ciede2000:.1f}"] * (self.ciede2000 > COLOUR_TOLERANCE)
+        off = [f"colour by CIEDE2000 {self.ciede2000:.1f} (D65)"] * (self.ciede2000 > COLOUR_TOLERANCE)
         off += [
             f"gloss at {angle:g} degrees ({self.gloss[angle]:.3g} instead of {asked:.3g})"
             for angle, asked in missed_gloss(self.sample, self.gloss).items()

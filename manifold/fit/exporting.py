@@ -413,7 +413,7 @@ def _write_balls(path: Path, subject: Subject, *exports: Content) -> None:
     """Draw balls of a material and of its exports in two lights, with their differences."""
     columns = [export_sheet.SheetColumn(subject.against, subject.truth)]
     for content in exports:
-        words = f"CIEDE2000 {content['errors']['ball']:.1f}"
+        words = f"CIEDE2000 {content['errors']['ball']:.1f} ({LIGHTS})"
         columns.append(export_sheet.SheetColumn(content["target"], exported_model(content), words))
     path.parent.mkdir(parents=True, exist_ok=True)
     export_sheet.draw(subject.name, columns, path)

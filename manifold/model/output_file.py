@@ -1,4 +1,4 @@
-"""A BRDF as an RGL file in memory, measured by the virtual goniometer."""
+"""A BRDF as an RGL file, measured by the virtual goniometer, made physical if asked, checked and written."""
 
 from __future__ import annotations
 

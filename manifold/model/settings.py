@@ -133,7 +133,15 @@ class GplvmSettings(Settings):
         Raw values without weights, in all bands and at all 90 x 90 x 180 direction pairs; unmeasured cells are zeros;
         s^2 = 1; direct local search from the principal components in the order of the materials; mu = 1e-4, l = 1.
         """
-        return cls(mapping="identity", grid="hikichi", as_published=True)
+        return cls(
+            mapping="identity",
+            optimizer="dls",
+            mu=1e-4,
+            prior=0.0,
+            kernel="se",
+            grid="hikichi",
+            as_published=True,
+        )
 
     def __post_init__(self) -> None:
         if not isinstance(self.kernel, str):

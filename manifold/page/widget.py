@@ -42,7 +42,7 @@ class MapWidget(AnyWidget):  # type: ignore[misc]
     def __init__(self, model: Manifold, surfaces: Sequence[Path | str] = ()) -> None:
         """Tabulate the materials of a map, in seconds; surfaces are folders that `manifold surface` wrote."""
         self.model = model
-        start = model.X.mean(axis=0)
+        start = model.X[np.argmin(np.linalg.norm(model.X - model.X.mean(axis=0), axis=1))]  # as the page does
         read = [read_surface(path) for path in surfaces]
         super().__init__(data=to_document(model, tabulate(model), read), latent=start.tolist())
 

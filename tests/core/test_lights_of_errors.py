@@ -20,6 +20,7 @@ NAMED_BESIDE = {
     ("cli/fit_commands.py", "CIEDE2000 of the ball"),  # the value of the row, `Errors` in words
     ("cli/fit_commands.py", "f'CIEDE2000 of the ball in {name}'"),  # likewise
     ("manifold/fit/principled.py", "CIEDE2000 of the ball"),  # likewise
+    ("manifold/convert/contents.py", "CIEDE2000 of the ball"),  # likewise
 }
 """Texts whose lights stand beside them."""
 

@@ -70,7 +70,7 @@ def test_a_photograph_is_completed(run, folder, library):
     page = (folder / "found.html").read_text()
     assert page.count("data:image/png;base64") == 3  # two balls, and the photograph beside its prediction
     for angle, units in document["gloss"].items():
-        assert f"<td>{angle}</td><td></td><td>{units['completed']:.3g}</td>" in page
+        assert f"<td>{angle}</td><td>{units['completed']:.3g}</td>" in page
     assert document["alternatives"][0]["like"][0][0] in page.partition("Most probable mixtures")[2]
     assert "predicted from the others" in out
     assert any(line.startswith("ball.exr ") for line in out.splitlines())

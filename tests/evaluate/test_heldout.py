@@ -82,7 +82,7 @@ def test_a_prediction_meets_values_in_some_bands_only(many_bands, rng):
     whole = Combination(MAPPINGS["cube-root"], rng.normal(size=(60, 12)) / 6, np.array([10, 59]))
     found = whole.in_bands(bands).evaluate(some)
     np.testing.assert_allclose(found, whole.evaluate(every)[:, bands], rtol=1e-10, atol=1e-12)
-    with pytest.raises(ShapeError, match="bands \\[59\\] are samples"):
+    with pytest.raises(ShapeError, match="bands \\[59\\] are needed"):
         whole.in_bands(np.array([3, 10, 40]))
 
 

@@ -81,7 +81,7 @@ def test_types_that_are_no_plain_names_of_plugins_are_refused(tmp_path, monkeypa
         '<include filename="evil.xml"/>',
         '<shape type="sphere"><bsdf type="twosided"><bsdf type=""/></bsdf></shape>',
     ):
-        with pytest.raises(FileFormatError, match=r"type .*(expected the plain name|is no plugin)"):
+        with pytest.raises(FileFormatError, match=r"type .*(expected the plain name|is neither a plugin)"):
             SceneDocument.read(xml(tmp_path / "scene.xml", SENSOR, BALL.format("x"), part))
     for bad in ("../evil", "evil", [], {}, 7, None, "a\0b", "../" * 5000):
         content = {"type": "scene", "a": {"type": "sphere", "bsdf": [{"type": bad}]}}

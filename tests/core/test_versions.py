@@ -35,7 +35,7 @@ def test_a_library_of_0_1_0_is_read_bit_for_bit(library):
 
 
 def test_a_model_of_0_1_0_is_refused_and_embedding_its_library_again_brings_it_up_to_date(library, tmp_path):
-    with pytest.raises(ModelError, match="model format 3, expected 4; embed again"):
+    with pytest.raises(ModelError, match="model format 3, expected 4; run `manifold embed` again"):
         manifold.Manifold.load(OLD / "model.h5")
     manifold.Manifold.fit(library, calibrate=False).save(tmp_path / "model.h5")
     assert len(manifold.Manifold.load(tmp_path / "model.h5").names) == 4

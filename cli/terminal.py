@@ -31,9 +31,7 @@ _QUICK_SECONDS = 1.0  # work that is done by then needs no line
 _last_line = time.monotonic()
 _last_text = ""
 
-_SCHEMA = (
-    1  # raised where a key of a document is renamed, removed or changes its meaning; docs/reference/json.md
-)
+_SCHEMA = 1  # raised where a key of a document is renamed, removed or changes its meaning
 _MOST_NOTES = 4  # of a result
 _WIDTH = 80  # columns that sentences and lists are broken to; a line with a single long word may be longer
 

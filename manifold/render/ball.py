@@ -71,8 +71,9 @@ def make_settings(
     """Return settings with the illuminant of a name or file, and the environment of a file."""
     image = None
     if environment is not None:
+        radiance = images.read_image(environment)
         try:
-            image = lights.exposed(images.read_image(environment))
+            image = lights.exposed(radiance)
         except UsageError as error:
             raise UsageError(f"{environment}: {error}") from error
     return RenderSettings(size, samples, seed, parse_illuminant(illuminant), image)

@@ -124,6 +124,11 @@ def test_mistyped_commands_and_options_are_usage_errors(run, tmp_path, arguments
         (["report", "-M", "absent.h5"], 1, "manifold embed"),
         (["predict", "cardboard", "-M", "absent.h5"], 1, "absent.h5: no such model"),
         (["info", "absent.bsdf"], 1, "absent.bsdf: no such file"),
+        (
+            ["render", "0,0", "-M", "built-in", "--environment", "absent.exr"],
+            1,
+            "manifold: absent.exr: no such file",
+        ),
         (["slices", "absent.bsdf"], 1, "absent.bsdf: no such file"),
         (["import", "absent"], 1, "absent"),
         (["complete", "absent"], 1, "give readings files, or folders that contain them"),

@@ -110,6 +110,11 @@ def test_a_missing_chunk_over_http_names_the_material(folder, served):
         Library(served[0]).read("m00")
 
 
+def test_a_zip_file_over_http_is_to_be_downloaded(served):
+    with pytest.raises(LibraryError, match="download a zip file and name that"):
+        Library(f"{served[0]}.zip")
+
+
 def test_an_address_without_a_library_is_an_error_of_one_line(served):
     with pytest.raises(LibraryError, match=r"http://127.0.0.1:\d+/nothing: no library can be read there"):
         Library(served[0].replace("library.zarr", "nothing"))

@@ -1,9 +1,9 @@
 """Gaussian-process regression with one kernel for all outputs, as Hikichi & Iwasaki predict BRDFs.
 
 Because all outputs share one kernel, a prediction is a weighted sum of the training samples, `w = K^-1 k*` (eq. 13):
-`GaussianProcess` depends on latents alone, and sees outputs only as their Gram matrix. Manifolds of kind `gplvm` predict
-by it; those of kind `blend` take its variance. `manifold.gp.estimators.GPRegressor` adds outputs, in the manner of
-scikit-learn.
+`GaussianProcess` depends on latents alone, and sees outputs only as their Gram matrix. Manifolds of kind `gplvm`
+predict by it; those of kind `blend` take its variance. `manifold.gp.estimators.GPRegressor` adds outputs, in the manner
+of scikit-learn.
 """
 
 from __future__ import annotations

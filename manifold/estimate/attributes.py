@@ -245,8 +245,7 @@ class Adjusted:
     def difference(self) -> float:
         """CIEDE2000 between the colours asked for and reached."""
         asked, reached = (
-            lab_of_lch(np.array([values[each.key] for each in COLOUR]))
-            for values in (self.asked, self.reached)
+            from_lch(np.array([values[each.key] for each in COLOUR])) for values in (self.asked, self.reached)
         )
         return float(delta_e_2000_lab(asked, reached))
 
@@ -333,7 +332,7 @@ def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: Colour
     present = model.predict(place, colours).turned(place.rotation_rad)
     asked = measured(present, ()) | attributes.values(present)
     if attributes.is_tinted:
-        lab = lab_of_lch(np.array([asked[each.key] for each in COLOUR]))
+        lab = from_lch(np.array([asked[each.key] for each in COLOUR]))
         colours = _colours_at(model, place, tinted(factor_of(present), lab, model.bands))
     reached = model.predict(place, colours).turned(place.rotation_rad)
     return Adjusted(place, colours, asked, measured(reached, asked))
@@ -391,7 +390,7 @@ def _to_lch(lab: Array) -> Array:
     return np.array([lab[0], np.hypot(lab[1], lab[2]), np.rad2deg(np.arctan2(lab[2], lab[1])) % 360.0])
 
 
-def lab_of_lch(lch: Array) -> Array:
+def from_lch(lch: Array) -> Array:
     """Return CIELAB (3,) of lightness, chroma, and hue in degrees."""
     hue = np.deg2rad(lch[2])
     return np.array([lch[0], lch[1] * np.cos(hue), lch[1] * np.sin(hue)])

@@ -13,7 +13,7 @@ from manifold.estimate.attributes import (
     Adjusted,
     Attributes,
     factor_of,
-    lab_of_lch,
+    from_lch,
     measured,
     tinted,
 )
@@ -27,7 +27,7 @@ def own_values(brdf: BRDF, attributes: Attributes) -> tuple[BRDF, Adjusted]:
     """Return a material with attributes of its colour, by its own values, and what was reached."""
     asked = measured(brdf, ()) | attributes.values(brdf)
     if attributes.is_tinted:
-        lab = lab_of_lch(np.array([asked[each.key] for each in COLOUR]))
+        lab = from_lch(np.array([asked[each.key] for each in COLOUR]))
         wi, wo = COLOUR_GEOMETRY
         meter = Picture(wi[None], wo[None], sums_of_runs(np.array([np.pi]), np.zeros(1, int)))
         brdf = with_factor(brdf, tinted(factor_of(brdf), lab, brdf.bands), meter)

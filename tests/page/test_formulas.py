@@ -111,7 +111,7 @@ def test_colours(formulas, colours):
         (conversion.luminance, colours[:, None], conversion.luminance(colours, RGB)),
         (difference.to_lab, xyz[:, None], lab),
         (attributes._to_lch, lab[:-2, None], lch[:-2]),  # black and white have no hue
-        (attributes.lab_of_lch, lch[:, None], lab),
+        (attributes.from_lch, lch[:, None], lab),
     ):
         found = of_page(formulas, function, rows.tolist())
         assert np.allclose(found, expected, rtol=1e-5, atol=1e-5), function  # nine digits of the matrix

@@ -475,7 +475,7 @@ def test_notes_of_readings_stand_below_the_materials_like_them(run, model, tmp_p
     (tmp_path / "few.csv").write_text("theta_i,theta_o,R,G,B\n45,0,0.8,0.8,0.8\n60,0,0.8,0.8,0.8\n")
     code, out, _ = run("find", "few.csv", "-L", model.library.path, "--json", "few.json", cwd=tmp_path)
     assert code == 0
-    assert "look like reflectance factors" in " ".join(out.split())
+    assert "taken as reflectance factors" in " ".join(out.split())
     content = json.loads((tmp_path / "few.json").read_text())
     assert any("--unit factor" in note for note in content["notes"])
     assert {one["light"] for one in content["found"]} == {"D65/2"}

@@ -477,5 +477,5 @@ def test_notes_of_readings_stand_below_the_materials_like_them(run, model, tmp_p
     assert code == 0
     assert "taken as reflectance factors" in " ".join(out.split())
     content = json.loads((tmp_path / "few.json").read_text())
-    assert any("--unit factor" in note for note in content["notes"])
+    assert any("(--unit brdf, factor or percent)" in note for note in content["notes"])
     assert {one["light"] for one in content["found"]} == {"D65/2"}

@@ -72,7 +72,7 @@ class MadeOptions(options.FileOptions):
         bool,
         typer.Option(
             "--picture",
-            help="Also render its ball, into NAME.png; of several samples a sheet of balls is always drawn.",
+            help="Also render its ball, into NAME.png; for several samples, a sheet of balls is always drawn.",
         ),
     ] = False
     report: options.ReportOption = None
@@ -107,7 +107,7 @@ def complete(
     readings: Annotated[
         list[Path] | None,
         typer.Argument(
-            help="Files of readings, or folders that contain them. Readings of one sample by several instruments are "
+            help="Files of readings, or folders that contain them. Readings of one sample from several instruments are "
             "merged by its name.",
             metavar="READINGS",
             show_default=False,

@@ -200,7 +200,7 @@ def export(
         bool,
         typer.Option(
             "--picture",
-            help="Also draw the material beside the target's model, into NAME.png; for several targets all balls.",
+            help="Also draw the material beside the target's model, into NAME.png; all models of several targets.",
         ),
     ] = False,
     tolerance: Annotated[
@@ -310,7 +310,9 @@ def _export_shader(
     tolerance = exporting.DEFAULT_TOLERANCE if tolerance is None else tolerance
     if is_many(materials):
         if prefix is not None:
-            raise UsageError(f"--prefix {prefix} is of one material; export each with a prefix of its own")
+            raise UsageError(
+                f"--prefix {prefix} goes with one material, found several; export each with its own prefix"
+            )
         command = exporting.exports(tolerance, with_pictures=picture, is_pack=pack is not None)
         make_many(results, command, find_inputs(materials), pack or output)
         return

@@ -45,7 +45,7 @@ def corpus(
         ),
     ] = 0,
     anisotropic: Annotated[
-        bool, typer.Option("--anisotropic", help="Add the 11 anisotropic ones, 110 MB each.")
+        bool, typer.Option("--anisotropic", help="Add the 11 anisotropic materials, 110 MB each.")
     ] = False,
     rgb: Annotated[bool, typer.Option("--rgb", help="Write linear sRGB instead of 195 bands.")] = False,
     instrument: Annotated[
@@ -95,7 +95,7 @@ def fetch(
         str | None, typer.Option(help="Another server with the same folders and files.", metavar="URL")
     ] = None,
     anisotropic: Annotated[
-        bool, typer.Option("--anisotropic", help="Without names: also the 11 anisotropic ones.")
+        bool, typer.Option("--anisotropic", help="Without names: also the 11 anisotropic materials.")
     ] = False,
     rgb: Annotated[
         bool,
@@ -105,7 +105,7 @@ def fetch(
     ] = False,
     json: options.JsonOption = None,
 ) -> None:
-    """Download measured materials of the RGL database, checksums verified.
+    """Download measured materials of the RGL database and verify their checksums.
 
     Measured by J. Dupuy and W. Jakob (EPFL), in the public domain (CC0 1.0).
     """

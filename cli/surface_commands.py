@@ -30,7 +30,9 @@ def surface(
     ],
     output: Annotated[
         Path | None,
-        options.output_option("The folder to write. [default: the sample's name, _surface; or surfaces]"),
+        options.output_option(
+            "The folder to write. [default: NAME_surface, or surfaces for several samples]"
+        ),
     ] = None,
     library: options.LibraryOption = options.DEFAULT_LIBRARY,
     sample: options.SampleOption = None,

@@ -27,7 +27,7 @@ class Cells:
         wi: the incident direction, shape (3,).
         wo: outgoing directions, shape (R, C, 3).
         is_above: whether these are above the horizon, bool, shape (R, C).
-        density: of the points over the unit square, by the warp, shape (R, C).
+        density: the warp's density at the points, per unit of square area, shape (R, C).
     """
 
     points: Array

@@ -45,7 +45,7 @@ class Warp:
     """A family of densities on the unit square, one per (phi, theta), each of which integrates to 1.
 
     Attributes:
-        tables: what compiled loops read.
+        tables: normalised densities and their cumulative sums, as the compiled loops read them.
     """
 
     def __init__(self, values: Array, phi_nodes: Array, theta_nodes: Array) -> None:

@@ -323,7 +323,7 @@ def measured(brdf: EvaluableBRDF, keys: Iterable[str]) -> dict[str, float]:
 def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: ColourChoice = NEAREST) -> Adjusted:
     """Find the colours that have given attributes and are nearest to those of a material at x.
 
-    Other colours than those of the material need a map of blends; `coat.with_gloss` changes gloss.
+    Only a map of blends can change the material's colours. To change gloss, use `coat.with_gloss`.
 
     >>> adjust(model, "syn_card_brown", Attributes({"hue": Wanted(30.0)}))  # doctest: +SKIP
     """
@@ -403,8 +403,8 @@ class Found:
     Attributes:
         lab: its CIELAB colour in the geometry 45/0, shape (3,).
         gloss: its gloss units by angle in degrees.
-        ciede2000: to the colour or the material that was looked for; None if neither was given.
-        light: in which `ciede2000` is computed; None if it is None.
+        ciede2000: CIEDE2000 from the wanted colour or material; None if neither was given.
+        light: light in which `ciede2000` is computed; None if `ciede2000` is None.
         distance: root of the summed squares of CIEDE2000 and of gloss in just visible steps; from a material, the
             CIEDE2000 between both.
     """

@@ -386,7 +386,9 @@ def _lab_of_header(
         raise FileFormatError(f"{path}: found the header {', '.join(head or ())[:60]}, {_EXPECTED}")
     axes, said = columns[0], columns[1] or commented
     if said is not None and viewing is not None and said != viewing:
-        raise UsageError(f"{path}: it says {said}, found {viewing}; leave --illuminant and --observer out")
+        raise UsageError(
+            f"{path}: the file says {said}, the options say {viewing}; leave --illuminant and --observer out"
+        )
     return axes, said or viewing or DAYLIGHT
 
 

@@ -178,7 +178,7 @@ class Completion:
         return self._at(self.atoms.ball, ball_coordinates())
 
     def _at(self, roots: Array, where: Array) -> Array:
-        """Return f at coordinates (P, 3), at which atoms have cube roots (n + 1, P)."""
+        """Return f at coordinates (P, 3), given the atoms' cube roots there, (n + 1, P)."""
         assert self.factors is not None
         return np.asarray((self.weights @ roots * self.factors.at(where)).T ** 3)
 

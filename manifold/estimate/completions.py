@@ -301,7 +301,7 @@ class Photographed(Completed):
     Attributes:
         balls: in the photographs.
         located: its place on a map; None if none was asked for.
-        plan: where to hold the lamp next; None if no picture was asked for.
+        plan: where to hold the lamp for further pictures; None if no suggestion was asked for.
     """
 
     balls: tuple[SeenBall, ...]
@@ -701,5 +701,5 @@ def _describe(completion: Completion) -> str:
 
 
 def file_name(readings: Readings) -> str:
-    """Return the default name of a completed material's file: that of the sample."""
+    """Return the default file name of a completed material, made of the sample's name."""
     return f"{safe_name(readings.name)}.bsdf"

@@ -412,7 +412,7 @@ class _Pixels:
         return light * both**flat * np.exp(np.clip(limb, -5.0, 5.0)), highlight, k, share
 
     def start(self, lamps: Array) -> Array:
-        """Return parameters from directions of lamps (P, 3)."""
+        """Return the first parameters of a fit for lamps in directions (P, 3)."""
         highlight = _HIGHLIGHT + np.linspace(3.0, 0.0, len(_NODES))
         own = np.hstack([_slopes(lamps), np.zeros((len(lamps), 2))])
         return np.concatenate([np.zeros(3 + _SHAPE), highlight, own.ravel()])
@@ -538,7 +538,7 @@ class _Pixels:
 
 
 def _stepped(x: Array, at: Sequence[int] | Indices) -> Array:
-    """Return parameters of which some are larger by a step."""
+    """Return a copy of the parameters, some of which are increased by a step."""
     y = x.copy()
     y[at] += _STEP
     return y

@@ -238,7 +238,7 @@ def material_prior(N: int, n_library: int | None = None, coated: float = COATED)
 
 
 def log_prior_of(first: Indices, second: Indices, prior: Array) -> Array:
-    """Return logarithms of prior probabilities of mixtures of two of N materials, or of one for equal indices: (H,).
+    """Return log prior probabilities of pairs of N materials, (H,); equal indices mean a single one.
 
     Those of one material have its prior (N,), see `material_prior`, times `LIKE_ONE` together. Those of two have the
     rest: measured ones their share of it, the others the share of coats, most of which are of two coats: a highlight
@@ -374,7 +374,7 @@ class ReadingRoots:
 class GlossReadings:
     """G readings of gloss beside those of a material: means over apertures around mirror directions.
 
-    They are of its luminance, which no band has alone: in cube roots no `Observation` of one band.
+    Gloss depends on the luminance, a sum over bands before the cube root, so it is not an `Observation` of one band.
 
     Attributes:
         atoms: cube roots of these means of n atoms and, last, of the Lambertian, shape (n + 1, G).
@@ -392,7 +392,7 @@ class GlossReadings:
 
     @classmethod
     def of(cls, gloss: Mapping[float, float], bands: Bands, atoms: Array) -> GlossReadings:
-        """Return gloss units by angle, beside readings in some bands, with cube roots of atoms there (n + 1, G)."""
+        """Return readings of gloss from units by angle, given the atoms' cube roots there, (n + 1, G)."""
         unit = np.array([value_of_unit(angle) for angle in gloss])
         mean = unit * list(gloss.values())
         theta = np.deg2rad(list(gloss), dtype=float)

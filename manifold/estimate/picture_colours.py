@@ -78,7 +78,9 @@ def with_picture_colours(readings: Readings) -> Readings:
     factors = seen / np.array([colour_of(readings, reading) for reading in read])
     factor = np.nanmedian(factors, axis=0)
     if np.any(np.abs(np.log(factor)) > np.log(_MOST_FACTOR)) or odd_picture(tuple(found), factors):
-        return readings.with_note("the pictures are of another sample than the readings, and are not used")
+        return readings.with_note(
+            "the pictures do not match the readings (a different sample?) and are not used"
+        )
     whole = readings.values[readings.measured.all(axis=1)]
     colours = np.maximum(np.pi * to_srgb(whole, readings.bands), _DARK)
     weights = weights_at(nm)

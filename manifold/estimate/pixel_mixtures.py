@@ -29,8 +29,8 @@ class PixelPosterior:
     """Posterior probabilities of mixtures of two usable atoms, given one channel's pixels, under several exposures.
 
     As `posterior` has it for readings; mixtures and errors are of values, and those of bounds that hold are none.
-    Pixels brighter than `LEAST` have a noise in proportion to them, others one noise. Their inner products scale with
-    the exposure and are summed once.
+    Noise is proportional to the value for pixels brighter than `LEAST`, and constant below. Their inner products
+    scale with the exposure and are summed once.
 
     Attributes:
         exposures: divisors of the observed values, ascending, shape (E,).

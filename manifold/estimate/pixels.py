@@ -210,7 +210,7 @@ def blocks_of(photograph: Photograph, circle: Circle, pictures: int = 1) -> Bloc
 
 
 def _require_curved(photograph: Photograph, cylinder: Circle) -> None:
-    """Raise UsageError where the normals that a picture shows of a cylinder differ by little."""
+    """Raise UsageError if the visible normals of a cylinder span too small an angle."""
     edges = (np.array([0.0, photograph.values.shape[1]]) - cylinder.x) / cylinder.radius
     span = float(np.rad2deg(np.ptp(np.arcsin(np.clip(edges, -_RIM, _RIM)))))
     if span < _LEAST_SPAN_DEG:

@@ -173,7 +173,7 @@ class _Made:
 def _of_file(
     model: Manifold, source: FileSource | LibrarySource, colour: ColourChoice, attributes: Attributes | None
 ) -> _Made:
-    """Return the values of a file, with another colour and gloss if asked for."""
+    """Return a file's material, with its colour and gloss changed if asked for."""
     file = read_measured(source)
     cells = unmeasured_cells(file)
     before: BRDF = MeasuredBRDF(fill_unmeasured(file, cells))

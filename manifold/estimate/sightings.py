@@ -141,7 +141,7 @@ class SeenBall:
     """A photograph, the ball in it, and its light as a picture.
 
     Attributes:
-        light: linear radiance, shape (H, W, 3); None of lamps.
+        light: linear radiance of the environment, shape (H, W, 3); None for lamps.
         notes: assumptions about the files of both, in sentences.
         warnings: sentences that come before all others: why the estimate is likely wrong.
         lamp_deg: standard deviation of the direction of an estimated lamp, in degrees; None of others.
@@ -221,7 +221,9 @@ def _under_lamps(
     is_common = len(set(circles)) == 1 and len({one.values.shape for one in photographs}) == 1
     if (apart := _found_at(request)) is not None:
         if len(set(circles)) > 1:
-            raise UsageError("different circles, expected one for all photographs to find their lamps")
+            raise UsageError(
+                "different circles, expected the same for all photographs, whose lamps are to be found"
+            )
         given_circle = _outline_of(photographs, circles[0])[0] if circles[0] else None
         probe = find_light(photographs, given_circle, apart)
         probe, warnings = doubt_encoding(photographs, probe)
@@ -260,7 +262,7 @@ def _under_lamps(
 
 
 def _found_at(request: PhotoRequest) -> float | None:
-    """Return the distance of lamps to be estimated, in radii of the ball, far by default; None for given lamps."""
+    """Return the distance of lamps to estimate, in ball radii, by default far; None for given lamps."""
     if not any(text.partition(",")[0] == "found" for text in request.lamps):
         return None
     _, _, distance = request.lamps[0].partition(",")
@@ -310,7 +312,8 @@ def _require_possible(balanced: Photograph, circle: Circle, grey: str) -> None:
     level = float(np.quantile(bright, 0.75)) if len(bright) else 0.0
     if level > _MOST_BRIGHT:
         raise UsageError(
-            f"{balanced.path}: by the card at {grey} a quarter of the ball is more than {level:.1f} times as bright as "
+            f"{balanced.path}: according to the grey card at {grey}, a quarter of the ball is more than "
+            f"{level:.1f} times as bright as "
             "a white surface that faces the lamp, which no material is; expected a card that the same lamp lights, "
             "not the background or a shadow, and its reflectance"
         )

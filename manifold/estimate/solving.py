@@ -82,7 +82,8 @@ def gather(
 ) -> Evidence:
     """Return observations as evidence: pictures of one camera, readings of one sample, and gloss.
 
-    For the other arguments see `Completion.of`; atoms are of values if there are pictures.
+    For the other arguments see `Completion.of`. If there are pictures, atoms combine values (`in_values`), not cube
+    roots.
 
     Raises:
         BandMismatchError: the bands of readings and library do not go together.

@@ -216,7 +216,7 @@ def select_minima(minima: list[Minimum], limit: float) -> list[Minimum]:
 
 
 def find_minima(residuals: Residuals, options: GaussNewton) -> list[Minimum]:
-    """Return all distinct minima found, best first; for few samples followed by rivals, see `select_minima`."""
+    """Return distinct minima, best first; for few samples, then rivals (see `select_minima`)."""
     stages = Stages({"coarse search": 4, "refinement": 3, "checking minima": 3})
     stages.begin("coarse search")
     layout = residuals.layout

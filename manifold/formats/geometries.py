@@ -253,7 +253,7 @@ def resolve(names: Iterable[str], context: ErrorContext, notes: list[str]) -> di
         )
     if alone:
         angles |= {name: (45.0, angle, 0.0) for name, angle in alone.items()}
-        notes.append(Assumption("aspecular angles alone: the light is taken at 45 degrees"))
+        notes.append(Assumption("the file gives only aspecular angles; the light is taken at 45 degrees"))
     if any(found["kind"][0] in "dD" for name in angles if (found := _PATH.search("".join(name.split())))):
         notes.append("DP, means of two paths from either side: taken as one path, as for isotropic samples")
     return angles

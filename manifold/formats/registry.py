@@ -110,7 +110,7 @@ def read_all(path: Path | str) -> list[Record]:
         if largest > _LARGEST_VALUE:
             raise FileFormatError(
                 f"{printable(path.name, 255)}: a value of {largest:.3g}, expected f in 1/sr or reflectance factors; "
-                "the file is damaged, or of other units"
+                "the file is damaged or in other units"
             )
         nm = record.wavelengths_nm
         if nm is not None and not SHORTEST_NM <= nm[0] <= nm[-1] <= LONGEST_NM:

@@ -344,7 +344,7 @@ def _from_lab(table: Table, index: int, axes: list[int]) -> Table:
 
 
 def _band(table: Table, row: int, column: int, unit: str, context: ErrorContext) -> str:
-    """Return the wavelength in a cell as the head of a band; a number without a unit has that of its column."""
+    """Return a cell's wavelength as the head of a band; a bare number is in its column's unit."""
     text = table.text(row, column)
     nm = wavelength_nm(text, unit)
     head = "" if nm is None else f"{nm:.9g}nm"

@@ -55,7 +55,7 @@ class ErrorContext:
         return values
 
     def table(self, lines: Sequence[tuple[int, str]], separator: str | None, width: int) -> Array:
-        """Return the numbers of lines of `width` cells, each line with its number in the file; shape (lines, cells)."""
+        """Parse pairs (line number, text) of `width` cells each; return shape (lines, width)."""
         self.require_rows(lines)
         table = np.empty((len(lines), width))
         for row, (line_number, line) in zip(table, lines, strict=True):

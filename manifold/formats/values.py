@@ -244,7 +244,7 @@ def looks_like_percent(wi: Array, wo: Array, values: Array, most_factor: float =
 
 
 def is_too_bright(wi: Array, wo: Array, values: Array, fewest: int = 2, most: float = _MOST_BRDF) -> bool:
-    """Return whether values (P, B) in 1/sr are too large in an eighth of the bands, see `bright_bands`."""
+    """Return whether at least an eighth of the bands are too bright, see `bright_bands`."""
     return int(bright_bands(wi, wo, values, fewest, most).sum()) >= max(values.shape[1] / 8.0, 1.0)
 
 

@@ -33,7 +33,7 @@ _PADDING_FROM = np.cos(np.deg2rad(75.0))
 
 
 def sniff(head: bytes) -> bool:
-    """Return whether a file's beginning has Zemax' lists of angles."""
+    """Return whether the beginning of a file contains the lists of angles of a Zemax file."""
     text = decode(head).lower()
     return re.search(r"^\s*(angleofincidence|samplerotation)\b", text, re.MULTILINE) is not None
 

@@ -113,8 +113,8 @@ def encode(file: BsdfFile, tolerance: float = DEFAULT_TOLERANCE) -> Compact:
         step *= min(max(0.8 / excess, 0.25), 0.8)
     raise LibraryError(
         f"{file.name}: its compact form differs by {ball:.2g} {BALL} and {percent(cube_root, 2)} in cube roots at the "
-        f"finest step, expected at most {most.ball:.2g} and {percent(most.cube_root, 2)}; allow more, "
-        "or keep it as it is"
+        f"finest step, expected at most {most.ball:.2g} and {percent(most.cube_root, 2)}; raise the tolerance, "
+        "or store it as it is"
     )
 
 
@@ -154,7 +154,7 @@ class _Roots:
 
 
 def _rounded(numbers: NDArray[np.int32], bits: int) -> NDArray[np.int32]:
-    """Round numbers, or those behind floats in single precision, so that their last bits are zero."""
+    """Round int32 numbers, or the bit patterns of float32, so that their last bits are zero."""
     return (numbers + (1 << (bits - 1))) >> bits << bits
 
 
@@ -181,7 +181,7 @@ def _pairs(is_isotropic: bool) -> Pairs:
 
 
 def _errors_from(file: BsdfFile) -> Callable[[BsdfFile], tuple[float, float]]:
-    """Return a function of other forms of a file that returns their ball and cube-root errors."""
+    """Return a function that returns the ball and cube-root errors of another form of a file."""
     lights, pairs = panel.judged(), _pairs(file.is_isotropic)
 
     def values(other: BsdfFile) -> tuple[Array, Array]:

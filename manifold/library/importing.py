@@ -100,7 +100,7 @@ def import_files(
         tolerance: largest ball error (CIEDE2000) allowed for compact storage; None stores the files unchanged.
         rotation_rad: azimuth by which anisotropic samples lay turned, from -pi to pi, which whatever evaluates them
             undoes; "auto" finds it from the normals, see `manifold.brdf.orientation`.
-        workers: who check files, and write materials; threads of this process if None.
+        workers: executor that checks files and writes materials; threads of this process if None.
 
     Returns:
         What became of each file; `failed` must be looked at.

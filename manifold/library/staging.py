@@ -94,7 +94,7 @@ def contents(library: Path) -> list[Path]:
 
 
 def supplant(staged: Path, target: Path) -> None:
-    """Put a finished group in the place of another whose arrays have other names; at no moment there is neither.
+    """Replace a group by a finished one with other array names; one of the two always exists.
 
     A killed process leaves one of them, and perhaps arrays of the other, which `keep_arrays` removes.
     """

@@ -295,7 +295,7 @@ class Library:
 
     def _repair(self, name: str) -> str:
         if not self.path.is_dir():
-            return "install or copy it again"
+            return "install or copy the library again"
         return f"delete {self.path / 'materials' / name} and import its file again"
 
 

@@ -41,7 +41,7 @@ class Slices(NamedTuple):
 
 
 def encode(file: BsdfFile) -> tuple[Differences, Slices]:
-    """Return differences in units in the last place, shape of `vndf`, and the slices that they refer to."""
+    """Return differences of `vndf` from computed slices, in units in the last place, and these slices."""
     shape = file.vndf.shape[:2]
     differences = np.empty(file.vndf.shape, np.int32)
     slices = Slices(np.empty(shape), np.empty(shape))

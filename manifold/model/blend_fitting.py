@@ -97,9 +97,9 @@ class AppearanceDistances:
 
     Attributes:
         ball: mean CIEDE2000 between their balls, shape (N, N).
-        shape: distance of their logarithms, scaled to the median of `ball`, shape (N, N).
-        lightness: of their balls, shape (N,).
-        scale: of `shape`: what distances of logarithms were multiplied by.
+        shape: distance between the logarithms of their values, scaled to the median of `ball`, shape (N, N).
+        lightness: lightness of the balls, shape (N,).
+        scale: factor by which distances of logarithms were multiplied to get `shape`.
     """
 
     ball: Array

@@ -36,7 +36,8 @@ class Pair:
 
     Attributes:
         difference: CIEDE2000 between their balls, mean over the judged lights.
-        detour: of the prediction halfway between their places: its differences from both, over theirs.
+        detour: sum of the differences of the prediction halfway from both materials, over `difference`; 1 if it lies
+            between.
     """
 
     first: int

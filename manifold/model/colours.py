@@ -47,7 +47,7 @@ class ColourChoice:
 
     @property
     def is_like_file(self) -> bool:
-        """Return whether the colour is that of a file's material."""
+        """Return whether the colour is taken from a `.bsdf` file."""
         return self.like is not None and self.like.endswith(".bsdf")
 
     def made_of(self) -> dict[str, Any]:

@@ -93,7 +93,7 @@ class GplvmSpace(LatentSpace):
     def left_out_search(
         self, table: MaterialTable, materials: MaterialCache, settings: Settings
     ) -> LeftOutSearch:
-        """Return a search that encodes each material in the process on the others."""
+        """Return a search that encodes each material with the Gaussian process fitted to the others."""
         pairs = self.embedding_pairs(materials.is_isotropic)
         whole = decoder_at(pairs, self, materials, settings)
         brdfs = materials.filled()

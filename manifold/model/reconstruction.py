@@ -96,7 +96,7 @@ class ComparedValues:
 
 
 def observations(atoms: Array, material: Array, pixel_weights: Array) -> list[Observation]:
-    """Return the observations of a material (B, R), never negative, by atoms (n, R); the last functionals are pixels.
+    """Return observations of a material (B, R) for atoms (n, R); the last of R functionals are pixels.
 
     Errors of cube roots are relative, over all bands, among values and among pixels of weights (K,). Pixels brighter
     than display white do not count.
@@ -234,7 +234,7 @@ class _NumberSearch:
         return (1 if term.is_shared else len(self._target)) + (term.atom != self._lambertian)
 
     def _candidates(self, terms: Sequence[_Term], weights: Array, left: int) -> list[_Term]:
-        """Return the terms that each reduce the error most and cost at most `left` numbers."""
+        """Return the best term of each kind that costs at most `left` numbers."""
         fitted = weights @ self._atoms[[term.atom for term in terms]]
         slopes = ((self._target - fitted * self._slopes) * self._slopes) @ self._atoms.T  # [B, n]
         gains = (

@@ -237,7 +237,7 @@ def _landmark_names(model: Manifold) -> list[str]:
 
 
 def _others(model: Manifold) -> dict[str, Any]:
-    """Return places, colours and names of materials that are not landmarks, which predictions do not use."""
+    """Return places, colours and names of the materials besides landmarks, which predictions do not use."""
     others = np.delete(np.arange(len(model.names)), model.landmarks)
     srgb = encode_srgb(np.clip(to_srgb(model.space.reflectances[others], model.bands), 0.0, 1.0))
     return {

@@ -65,7 +65,7 @@ class TabulatedPairs:
 
     @property
     def amplitude(self) -> Array:
-        """Cube roots of cos(theta_i) cos(theta_o), shape (P,): values are tabulated times that."""
+        """Factor of tabulated values: cube root of cos(theta_i) cos(theta_o), shape (P,)."""
         return np.cbrt(self.wi[:, 2] * self.wo[:, 2])
 
 

@@ -39,7 +39,7 @@ def tone_map(linear: Array) -> Array:
 def require_image_path(path: Path) -> None:
     """Raise UsageError, before a picture is rendered, if `write_image` cannot write it."""
     if path.suffix.lower() not in SUFFIXES:
-        raise UsageError(f"{path}: pictures are written as .exr (linear) or .png (tone-mapped); name one so")
+        raise UsageError(f"{path}: expected a name that ends in .exr (linear) or .png (tone-mapped)")
     disk.require_writable(path)
 
 

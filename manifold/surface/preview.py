@@ -95,7 +95,7 @@ def _drawn(
 
 
 def _lit_ball(brdf: EvaluableBRDF) -> Array:
-    """Render a ball in the studio, seen from afar: linear sRGB, rows from above, surroundings as at its edge."""
+    """Render a distant ball in the studio light: linear sRGB, top row first, padded with its edge."""
     ball = ball_colours.ball(_BALL_PIXELS, _RINGS, _SPOKES)
     column, row = ((0.5 + 0.5 * ball.places * [1.0, -1.0]) * _BALL_PIXELS).astype(int).T
     image, inside = np.zeros((_BALL_PIXELS, _BALL_PIXELS, 3)), np.zeros((_BALL_PIXELS, _BALL_PIXELS), bool)
@@ -135,7 +135,7 @@ def material_of(
 def with_flakes(
     mi: Any, material: Mapping[str, Any], flakes: DrawnFlakes, repeats: tuple[float, float]
 ) -> dict[str, Any]:
-    """Return a material with flakes in it, as a dictionary of Mitsuba's; `repeats` is that of `material_of`."""
+    """Return a material with flakes as a dictionary of Mitsuba; for `repeats` see `material_of`."""
     facet = {
         "type": "roughconductor", "material": "none", "distribution": "ggx", "alpha": flakes.flakes.roughness,
         "specular_reflectance": {"type": "uniform", "value": flakes.flakes.reflectance / flakes.share},

@@ -47,7 +47,7 @@ class Patch:
 
     @property
     def at(self) -> tuple[Indices, ...]:
-        """Index of the patch in the texture."""
+        """Index arrays that select the patch's pixels in the texture."""
         return np.ix_(self.rows, self.columns)
 
     def of(self, sample: Array) -> Array:

@@ -89,7 +89,7 @@ def read_surface(path: Path | str) -> WrittenSurface:
         ) from None
     if missing := [kind for kind in _NEEDED if kind not in files]:
         raise FileFormatError(
-            f"{document}: names no file of the {missing[0]}; {_ADVICE}, on a workbook with readings"
+            f"{document}: names no {missing[0]} file; {_ADVICE}, on a workbook with readings"
         )
     pictures = {kind: read_display(files[kind]) for kind in ("albedo", "normal")}
     pictures["height"] = read_image(files["height"])

@@ -416,7 +416,9 @@ def test_the_header_of_a_list_names_the_light_of_its_colours(tmp_path):
     np.testing.assert_allclose(one.lab, lab_under_d65(np.array([42.0, 55.0, 30.0]), Viewing("D50", 2)))
     assert one.gloss == {60.0: 20.0}
     assert read_colours(path, {}, Viewing("D50", 2))[0].lab == one.lab
-    with pytest.raises(UsageError, match="it says D50/2, found A/2; leave --illuminant and --observer out"):
+    with pytest.raises(
+        UsageError, match="the file says D50/2, the options say A/2; leave --illuminant and --observer out"
+    ):
         read_colours(path, {}, Viewing("A", 2))
     path.write_text("# Illuminant D50, observer 2\nname,L,a,b,gloss_60\nred,42,55,30,20 \n")
     assert read_colours(path, {})[0].lab == one.lab

@@ -236,7 +236,7 @@ def test_derivatives_by_directions_are_refused(models):
     si = dr.zeros(mi.SurfaceInteraction3f)
     si.wi = mi.Vector3f(0.0, 0.6, 0.8)
     dr.enable_grad(si.wi)
-    with pytest.raises(UsageError, match="derivatives by directions"):
+    with pytest.raises(UsageError, match="derivatives with respect to directions"):
         bsdf.eval(mi.BSDFContext(), si, mi.Vector3f(0.0, 0.0, 1.0))
 
 

@@ -271,7 +271,7 @@ def test_a_folder_that_is_no_surface_is_refused(printed, tmp_path):
     document = folder / "twin.json"
     content = json.loads(document.read_text())
     assert read_surface(document).name == "twin"
-    for named, said in ((["mean"], "not a JSON file"), ({"albedo": "a.png"}, "names no file of the mean")):
+    for named, said in ((["mean"], "not a JSON file"), ({"albedo": "a.png"}, "names no mean file")):
         document.write_text(json.dumps(content | {"files": named}))
         with pytest.raises(FileFormatError, match=said):
             read_surface(document)

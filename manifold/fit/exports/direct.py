@@ -199,7 +199,7 @@ class _Problem:
         return sorted(starts, key=lambda x: float(np.sum(self.residuals(x) ** 2)))[:_FILM_STARTS]
 
     def _values(self, x: Array) -> dict[str, Any]:
-        """Return the target's parameters of a vector."""
+        """Return the target's parameters by name for a vector of the free values."""
         made, at = dict(self._start), 0
         for name in self._free:
             if name in self._hues:

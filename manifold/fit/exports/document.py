@@ -48,7 +48,7 @@ def tint_parameter() -> Parameter:
 
 
 def defaults(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
-    """Return the target's value of every parameter that is not set."""
+    """Return the default of every parameter, which the target uses if a file does not set it."""
     return {name: parameter.default for name, parameter in parameters.items()}
 
 

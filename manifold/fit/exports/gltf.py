@@ -172,7 +172,7 @@ def _lambda(cosine: Array, alpha: float) -> Array:
 
 @per_pairs
 def _sheen_albedo(pairs: ShadingPairs, roughness: float) -> Array:
-    """Return the directional albedo of a white sheen, the greater of both directions', (P,)."""
+    """Return a white sheen's directional albedo at wi or wo, whichever is larger, (P,)."""
     nodes, albedo = _sheen_table(round(float(roughness), 6))
     return np.maximum(*(np.interp(cosine, nodes, albedo) for cosine in (pairs.cos_v, pairs.cos_l)))
 

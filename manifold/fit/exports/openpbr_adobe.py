@@ -74,7 +74,7 @@ def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
 
 
 def _indices(values: Mapping[str, Any]) -> tuple[float, float, float]:
-    """Return the indices above and below the base's interface, and their ratio, at least 1."""
+    """Return the refractive indices above and below the base's interface; their ratio is at least 1."""
     outside = 1.0 + values["coat_weight"] * (values["coat_ior"] - 1.0)
     ratio = values["specular_ior"] / outside
     root = np.sqrt(min(values["specular_weight"] * ior_to_f0(ratio), 0.9999))

@@ -50,8 +50,8 @@ class PrincipledValues:
 
         Args:
             bsdf: description of the fitted family, as `BsdfFamily.to_json` gives it.
-            values: by name.
-            rotation_deg: of the fit; without meaning where nothing is anisotropic.
+            values: parameter values by name.
+            rotation_deg: rotation of the fit; ignored if the fit is isotropic.
 
         Raises:
             UsageError: the fit is neither of `principled` nor of `diffuse`, or transmits light.

@@ -357,7 +357,8 @@ class Evaluation:
         mi, dr = self._mi, self._dr
         if dr.grad_enabled(wi, wo):
             raise UsageError(
-                "plugin manifold: derivatives by directions, of moved shapes, lights or cameras, are not known; keep "
+                "plugin manifold: derivatives with respect to directions (moved shapes, lights or cameras) are not "
+                "known; keep "
                 "these fixed"
             )
         cos_o = mi.Frame3f.cos_theta(wo)

@@ -211,9 +211,13 @@ def test_files_that_cannot_be_written_are_refused_before_the_work(run, folder, m
     monkeypatch.setattr("manifold.evaluate.report.Manifold.load", fail)
     monkeypatch.setattr("manifold.model.embedding.Embedding.fit", fail)
     status, out, err = run(*arguments, cwd=folder)
-    assert (status, out) == (2, "")
-    reasons = ("expected one of .png", "cannot write this file", "in the library", "ends in .bsdf")
-    assert any(reason in one_line(err) for reason in reasons)
+    reasons = {
+        "expected one of .png": 2,
+        "cannot write this file": 1,
+        "in the library": 2,
+        "ends in .bsdf": 2,
+    }
+    assert (status, out) in [(code, "") for reason, code in reasons.items() if reason in one_line(err)]
 
 
 @pytest.fixture

@@ -52,9 +52,8 @@ def test_errors_name_the_worst_light():
     assert found.worst_light == panel.JUDGED[3]
     assert found.ball == pytest.approx(found.worst / len(panel.JUDGED))
     assert found.ball_itp > 0.0
-    assert (
-        str(found) == f"{found.ball:.2f} (mean of five lights), worst {found.worst:.2f} ({panel.JUDGED[3]})"
-    )
+    worst = f"worst {found.worst:.2f} ({panel.JUDGED[3]} degrees from the view)"
+    assert str(found) == f"{found.ball:.2f} (mean of five lights), {worst}"
 
 
 def test_pixels_are_those_of_their_balls():

@@ -223,7 +223,7 @@ def test_pictures_without_a_ball_end_in_one_line(run, folder, library, values, w
             "of the mirror ball at 5.0,64.0,40.0 lies outside",
         ),
         (["ball.exr", "--light", "studio", "--exposure", "bright"], "or free"),
-        (["ball.exr", "--light", "studio", "--turn", 1, "--turn", 2], "2 turns for 1 photographs"),
+        (["ball.exr", "--light", "studio", "--turn", 1, "--turn", 2], "2 turns for 1 photograph,"),
         (["ball.exr", "--light", "studio", "--camera", "curves.csv"], "spectral library"),
     ],
 )

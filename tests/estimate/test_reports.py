@@ -106,7 +106,7 @@ def test_a_report_that_cannot_be_written_is_refused_before_the_work(run, library
     write_table(tmp_path / "sample.csv", "a")
     for report in (".", "missing/report.html"):
         status, _, err = run(*arguments, "--report", report, cwd=tmp_path)
-        assert status == 2
+        assert status == 1
         assert "cannot write this file" in err
         assert [path.name for path in tmp_path.iterdir()] == ["sample.csv"]
 

@@ -75,11 +75,11 @@ def test_a_fit_that_names_another_library_is_refused(fitted, tmp_path, monkeypat
     text = fitted.read_text(encoding="utf-8").replace('"principled"', json.dumps(kind))
     (tmp_path / "evil.fit.json").write_text(text, encoding="utf-8")
     for use in (fit_json.read, fit_json.read_bsdf):
-        with pytest.raises(FileFormatError, match=r"type .*(plain name|no plugin)"):
+        with pytest.raises(FileFormatError, match=r"type .*(plain name|neither a plugin)"):
             use(tmp_path / "evil.fit.json")
     family = {"type": kind, "parameters": [{"name": "a", "minimum": 0.0, "maximum": 1.0, "default": 0.5}]}
     (tmp_path / "family.json").write_text(json.dumps(family), encoding="utf-8")
-    with pytest.raises(FileFormatError, match=r"type .*(plain name|no plugin)"):
+    with pytest.raises(FileFormatError, match=r"type .*(plain name|neither a plugin)"):
         fits.read_family(tmp_path / "family.json")
 
 

@@ -292,25 +292,27 @@ def test_scalar_variants_make_the_same_picture(folder):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "message", "code"),
     [
-        (("render",), "no material is given; give one"),
-        (("render", "syn_gloss_red_rgb.bsdf", "--direct"), "--direct evaluates predictions"),
-        (("render", "syn_gloss_red_rgb.bsdf", "--illuminant", "F11"), "needs a spectrum"),
-        (("render", "syn_gloss_red_rgb.bsdf", "-o", "a.jpg"), "written as .exr"),
-        (("render", "syn_gloss_red_rgb.bsdf", "-o", "nowhere/a.png"), "cannot write"),
-        (("render", "syn_gloss_red_rgb.bsdf", "--environment", "nothing.exr"), "no such file"),
-        (("render", "0,0,0,0"), "found 4 coordinates"),
-        (("compare", "syn_gloss_red_rgb.bsdf", "a.png"), "a.png: no such file"),
-        (("compare", "syn_gloss_red_rgb.bsdf", "flat.png"), "a material and a picture"),
+        (("render",), "no material is given; give one", 2),
+        (("render", "syn_gloss_red_rgb.bsdf", "--direct"), "--direct evaluates predictions", 2),
+        (("render", "syn_gloss_red_rgb.bsdf", "--illuminant", "F11"), "needs a spectrum", 2),
+        (("render", "syn_gloss_red_rgb.bsdf", "-o", "a.jpg"), "ends in .exr", 2),
+        (("render", "syn_gloss_red_rgb.bsdf", "-o", "nowhere/a.png"), "cannot write", 1),
+        (("render", "syn_gloss_red_rgb.bsdf", "--environment", "nothing.exr"), "no such file", 1),
+        (("render", "0,0,0,0"), "found 4 coordinates", 2),
+        (("compare", "syn_gloss_red_rgb.bsdf", "a.png"), "a.png: no such file", 1),
+        (("compare", "syn_gloss_red_rgb.bsdf", "flat.png"), "a material and a picture", 2),
     ],
 )
-def test_what_cannot_be_rendered_is_refused_in_one_line(folder, monkeypatch, capsys, arguments, message):
+def test_what_cannot_be_rendered_is_refused_in_one_line(
+    folder, monkeypatch, capsys, arguments, message, code
+):
     monkeypatch.chdir(folder)
     monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)  # which the program replaces
     with pytest.raises(SystemExit) as leaving:
         run_here(list(arguments))
-    assert leaving.value.code == 2
+    assert leaving.value.code == code
     stderr = capsys.readouterr().err
     assert message in stderr
     assert len(stderr.strip().splitlines()) == 1

@@ -48,7 +48,7 @@ def framed(shown: Array, inside: Mask) -> tuple[Array, Mask]:
 
 def draw(title: str, columns: Sequence[SheetColumn], path: Path) -> None:
     """Draw a column of two balls for each BRDF: in the studio, and under a sun beside the view."""
-    lights = {
+    lights: dict[str, Callable[[EvaluableBRDF], tuple[Array, Mask]]] = {
         "studio": studio_ball,
         f"sun {SUN_DEG:.0f} degrees from the view": partial(sun_image, size=_PIXELS, degrees=SUN_DEG),
     }

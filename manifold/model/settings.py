@@ -68,10 +68,12 @@ class Settings(ABC):
 class BlendSettings(Settings):
     """The settings of a map of blends: every point is a non-negative combination of the cube roots of materials.
 
-    Attributes: those of `Settings`, and
+    Besides those of `Settings`:
+
+    Attributes:
         sample_bands: largest number of bands per material from which colours are mixed.
-        landmarks: number of materials that are laid out, the others being located among them; None: all materials up
-            to 300, otherwise 150.
+        landmarks: number of materials that are laid out, the others being located among them; if None, all materials
+            up to 300, otherwise 150.
     """
 
     sample_bands: int = SAMPLE_BANDS

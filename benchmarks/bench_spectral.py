@@ -115,8 +115,9 @@ def in_one_azimuth(wi: Array, wo: Array) -> tuple[Array, Array]:
 def like_instrument(sample: Sample) -> tuple[Indices, list[dict[str, Any]]]:
     """The measured pairs, each once, for the geometries of an MA-T12, and their angles.
 
-    Both directions lie within `APART_DEG` of the instrument's, in either order. Of such pairs, the one is taken whose
-    directions and angle from the mirror direction differ least in sum; geometries without one are left out.
+    A pair is near a geometry if both directions lie within `APART_DEG` of the instrument's, in either order. The pair
+    is taken whose directions and angle from the mirror direction differ least in sum. Geometries without a near pair
+    are left out.
     """
     own = in_one_azimuth(sample.pairs.wi, sample.pairs.wo)
     chosen: list[int] = []

@@ -8,9 +8,9 @@ numbers are rounded away from the old value. The figures of `constants_figures.p
 measured again, in a copy of this process, so that everything that the constant does not change is prepared once.
 
 Prints one row per constant: the largest change of the numbers of each figure that reads it, in per cent, and that of
-their geometric mean at both values. `fails` means that the program refuses one of the values. Constants that no figure
-reads are listed at the end: they belong to rare inputs, or to what is printed and drawn. Sizes of blocks, limits of
-input sizes, and facts of formats (`EXEMPT`) are left out. The whole table takes about 40 minutes of processor time.
+their geometric mean at both values. `fails` means that the program refuses one of the values. The end of the table
+lists the constants that no figure reads: rare inputs, printed text and pictures use them. The table omits sizes of
+blocks, limits of input sizes, and facts of formats (`EXEMPT`). All of it takes about 40 minutes of processor time.
 """
 
 from __future__ import annotations

@@ -132,7 +132,7 @@ def colour_and_gloss(_: None) -> dict[str, float]:
 
 
 def adjusted(model: Manifold) -> dict[str, float]:
-    """Return what is reached of a hue that is asked for."""
+    """Return the lightness, chroma and hue that `adjust` reaches for a wanted hue, and the remaining difference."""
     found = {}
     for name in THREE[:1]:
         made = adjust(model, name, Attributes({"hue": Wanted(30.0)}))

@@ -214,10 +214,10 @@ def _reasons(compared: Readings, f_star: Array) -> list[str]:
     parts = [
         f"{percent(share)} {what}"
         for share, what in (
-            (negative, "is of negative values (colours outside sRGB, noise), which are stored as 0"),
+            (negative, "comes from negative values (colours outside sRGB, noise), which are stored as 0"),
             (
                 near,
-                f"is within {_NEAR_MIRROR_DEG:g} degrees of mirror directions, where the nodes miss the highlight",
+                f"lies within {_NEAR_MIRROR_DEG:g} degrees of mirror directions, where the nodes miss the highlight",
             ),
         )
         if share > _SHOWN_SHARE

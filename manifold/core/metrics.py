@@ -174,8 +174,9 @@ class Errors(Generic[Number]):
             + (f" ({of_parts})" if of_parts else ""),
             "linear": f"{percent(self.linear)} linear error",
         }
-        is_useless = {"linear": self.linear > 1.0}  # of sharp highlights, which rule it
-        return [words for name, words in of_all.items() if name in self.known and not is_useless.get(name)]
+        if self.linear > 1.0:  # sharp highlights rule it: a percentage says nothing then
+            del of_all["linear"]
+        return [words for name, words in of_all.items() if name in self.known]
 
 
 def rmse(f: Array, f_star: Array, *, n_pairs: float | None = None) -> float:

@@ -44,8 +44,7 @@ from manifold.model.places import Place, PlaceLike
 LEAST_GLOSS = 0.01  # gloss units
 _GREY = 0.2
 _LEAST_REFLECTANCE = 1e-3  # so that black can be tinted
-_LIGHT, _NORMAL = from_spherical(np.pi / 4, 0.0), from_spherical(0.0, 0.0)
-COLOUR_GEOMETRY = _LIGHT, _NORMAL
+COLOUR_GEOMETRY = from_spherical(np.pi / 4, 0.0), from_spherical(0.0, 0.0)
 """Directions of light and eye, (3,), in which colours are measured: 45/0."""
 GLOSS_TOLERANCE, COLOUR_TOLERANCE = 0.05, 1.0  # relative; CIEDE2000: beyond them something was not reached
 _JUST_VISIBLE = np.log(1.2)  # difference of log gloss: a fifth more, about as visible as a CIEDE2000 of 1
@@ -340,7 +339,7 @@ def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: Colour
 
 def _colours_at(model: Manifold, place: Place, factor: Array) -> Array:
     """Return colours (B,) at which a place has a reflectance factor (B,) in the geometry 45/0, as the sample lies."""
-    pairs = Pairs(*(rotate_z(w[None], -place.rotation_rad) for w in (_LIGHT, _NORMAL)))
+    pairs = Pairs(*(rotate_z(w[None], -place.rotation_rad) for w in COLOUR_GEOMETRY))
     decoder = decoder_at(pairs, model.space, model.materials, model.settings)
     return require_blends(model.space).colours_of(place.latent, factor, decoder, np.array([np.pi]))[0]
 
@@ -353,7 +352,8 @@ def readings_of_colour(lab: Array, gloss: Mapping[float, float], bands: Bands) -
     values = tinted(np.full(bands.count, _GREY), lab, bands)[None] / np.pi
     name = "L {:.4g}, a {:.4g}, b {:.4g}".format(*lab)
     wavelengths = None if bands.is_rgb else np.asarray(bands.wavelengths_nm)
-    return Readings(name, "45/0", _LIGHT[None], _NORMAL[None], wavelengths, values, gloss=gloss)
+    wi, wo = COLOUR_GEOMETRY
+    return Readings(name, "45/0", wi[None], wo[None], wavelengths, values, gloss=gloss)
 
 
 def lab_of(brdf: EvaluableBRDF) -> Array:
@@ -377,7 +377,7 @@ def tinted(factor: Array, lab: Array, bands: Bands) -> Array:
 
 def factor_of(brdf: EvaluableBRDF) -> Array:
     """Return the reflectance factor (B,) of the geometry 45/0."""
-    return np.pi * brdf.eval(_LIGHT, _NORMAL)
+    return np.pi * brdf.eval(*COLOUR_GEOMETRY)
 
 
 def lab_of_factor(factor: Array, bands: Bands) -> Array:

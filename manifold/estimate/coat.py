@@ -152,13 +152,13 @@ class Coated(Result):
 
     @property
     def missed_in_words(self) -> list[str]:
-        """What was asked for and not reached, which is no part of errors measured where it is reached."""
-        off = [f"colour by CIEDE2000 {self.ciede2000:.1f} (D65)"] * (self.ciede2000 > COLOUR_TOLERANCE)
+        """The colour and the gloss values that were not reached, in words; expected errors do not cover the gloss."""
+        off = [f"the colour, by CIEDE2000 {self.ciede2000:.1f} (D65)"] * (self.ciede2000 > COLOUR_TOLERANCE)
         off += [
             f"gloss at {angle:g} degrees ({self.gloss[angle]:.3g} instead of {asked:.3g})"
             for angle, asked in missed_gloss(self.sample, self.gloss).items()
         ]
-        return [f"not what was asked for: {', '.join(off)} missed"] if off else []
+        return [f"missed: {', '.join(off)}"] if off else []
 
     @property
     @derived()

@@ -48,9 +48,7 @@ from manifold.estimate.pixels import (
 from manifold.model.estimator import Observation
 
 _BRIGHT = 0.9  # share of a light's largest value; most pixels above it are clipped where the camera clipped
-_MOST_BRIGHT = (
-    1.2  # a perfect diffuser has 1 where it faces the lamp, so that a quarter of its ball has at most 0.9
-)
+_MOST_BRIGHT = 1.2  # a perfect diffuser has 1 where it faces the lamp: a quarter of its ball has at most 0.9
 _LEAST_COSINE = 0.05  # least cosine of a grey card's angle to its lamp
 _HIGHLIGHT_DEG = 15.0  # largest angle of a highlight's half vector from the normal
 _DIFFERENCES_DEG = np.arange(0.0, 91.0, 15.0)  # edges of bins of angles between directions and half vector
@@ -312,10 +310,9 @@ def _require_possible(balanced: Photograph, circle: Circle, grey: str) -> None:
     level = float(np.quantile(bright, 0.75)) if len(bright) else 0.0
     if level > _MOST_BRIGHT:
         raise UsageError(
-            f"{balanced.path}: according to the grey card at {grey}, a quarter of the ball is more than "
-            f"{level:.1f} times as bright as "
-            "a white surface that faces the lamp, which no material is; expected a card that the same lamp lights, "
-            "not the background or a shadow, and its reflectance"
+            f"{balanced.path}: according to the grey card at {grey}, a quarter of the ball is more than {level:.1f} "
+            "times as bright as a white surface that faces the lamp, which no material is; expected a card that the "
+            "same lamp lights, not the background or a shadow, and its reflectance"
         )
 
 

@@ -194,9 +194,7 @@ def mean_roots(readings: Readings) -> Array:
 
 # -- pictures ----------------------------------------------------------------------------------------------------------
 
-_EXPOSURES = np.geomspace(
-    1.0 / 16.0, 16.0, 9
-)  # where evidence is computed, relative to the exposure of a grey ball
+_EXPOSURES = np.geomspace(1.0 / 16.0, 16.0, 9)  # relative to that of a grey ball: evidence is computed there
 _CANDIDATES = np.geomspace(1.0 / 16.0, 16.0, 129)  # where it is interpolated
 _GREY = 0.3  # its albedo
 _DARKEST = 0.01  # albedo: what is darker is as probable

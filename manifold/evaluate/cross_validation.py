@@ -21,7 +21,7 @@ from manifold.evaluate.storage_forms import WHOLE, Storage
 from manifold.model.combination import Combination
 
 BYTES_PER_NUMBER = 8
-"""Of the numbers that describe a material by a method, in double precision."""
+"""Size of each number that a method stores for a material: double precision."""
 
 Encode = Callable[[int], Combination]
 """A function from the index of a material to its prediction."""

@@ -47,9 +47,9 @@ def test_a_large_error_names_negative_values_and_missed_highlights():
     )
     read = Readings("a", "test", wi, wo, None, np.array([[0.5, 0.5, -0.2], [0.1, 0.1, 0.1]]))
     (of_negative,) = reasons(read, np.array([[0.5, 0.5, 0.0], [0.1, 0.1, 0.1]]))
-    assert "100 % is of negative values" in of_negative
+    assert "100 % comes from negative values" in of_negative
     (of_highlight,) = reasons(read, np.array([[0.2, 0.2, -0.2], [0.1, 0.1, 0.1]]))
-    assert "100 % is within 10 degrees of mirror directions" in of_highlight
+    assert "100 % lies within 10 degrees of mirror directions" in of_highlight
     assert reasons(read, np.array([[0.5, 0.5, -0.2], [0.2, 0.2, 0.2]])) == []
 
 

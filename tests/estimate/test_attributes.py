@@ -338,7 +338,7 @@ def test_a_missed_request_is_part_of_the_expected_error(asked, why, missed, tmp_
         0.0,
     )
     first, *_ = made.rows["expected error"]
-    assert first.startswith("not what was asked for: colour by CIEDE2000 3.6")
+    assert first.startswith("missed: the colour, by CIEDE2000 3.6")
     assert missed in first
 
 

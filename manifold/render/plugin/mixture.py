@@ -103,7 +103,7 @@ class FixedLatent:
     def mixture(self, before: Mixture | None = None, *, has_slopes: bool = False) -> Mixture:
         """Return the prediction, or at a training latent the measured material.
 
-        PackedTables of a mixture `before`, of the same model, are reused if they hold all the materials.
+        Tables of a mixture `before`, of the same model, are reused if they hold all the materials.
         """
         model, x, colours = self.model, self.latent, self.colours
         combination = model.combination(x, colours)

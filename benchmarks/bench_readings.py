@@ -126,7 +126,7 @@ def expectations(atoms: LibraryAtoms) -> dict[str, dict[str, dict[str, object]]]
                 gloss=dict.fromkeys(angles, 1.0),
             )  # fmt: skip
             found = calibrate(atoms, blank)
-            both = found.errors, found.left_out
+            both = found.errors, found.expected_of_left_out
             of_kind = {kind: Reliability.of(*(getattr(of, kind) for of in both)) for kind in EXPECTED}
             errors = left_out_errors(atoms, wi, wo, angles)
             summary = ["{:.2f} / {:.2f}".format(*errors[kind]) for kind in KINDS]

@@ -260,7 +260,7 @@ def complete_measured(folder: Path) -> CompletedMaterial:
     library = Library(shipped.BUILT_IN)
     atoms = atoms_of(library)
     measured = MeasuredBRDF(library.read(atoms.names[0]))
-    left_out = calibrate(atoms, ma_t12_readings(measured, ""), library).left_out.ball
+    left_out = calibrate(atoms, ma_t12_readings(measured, ""), library).errors.ball
     chosen = int(np.argsort(left_out, kind="stable")[len(left_out) // 2])
     name = atoms.names[chosen]
     measured, others = MeasuredBRDF(library.read(name)), atoms.without(chosen)

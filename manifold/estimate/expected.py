@@ -124,7 +124,7 @@ class Calibration:
         return residual > _MARGIN * self.largest_residual
 
     @property
-    def left_out(self) -> Errors[Array]:
+    def expected_of_left_out(self) -> Errors[Array]:
         """Expected errors of every material, learned from the others, each (N,)."""
         every = np.arange(len(self.residuals))
         return Errors.of_several(

@@ -162,9 +162,8 @@ def test_the_page_of_the_demo_begins_with_a_measured_material_and_its_errors(dem
     name, library = made.name, Library(shipped.BUILT_IN)
     measured = MeasuredBRDF(library.read(name))
     assert made.true == brdf_errors(measured, MeasuredBRDF(read_bsdf(made.path))).ball
-    assert (
-        0.5 < made.true / made.left_out[library.names.index(name)] < 2.0
-    )  # of a file, and of the values before
+    # The file samples the values that the calibration judges.
+    assert made.true == pytest.approx(made.left_out[library.names.index(name)], rel=0.05)
     assert made.true < 2.0 * made.expected
 
 

@@ -438,7 +438,7 @@ def test_expected_errors_are_learned_from_the_other_materials(atoms, calibration
         others = np.arange(len(NAMES)) != m
         arrays = [Errors(*three(each)[:, others]) for each in (calibration.errors, calibration.plausible)]
         known = Calibration(*arrays, calibration.residuals[others])
-        np.testing.assert_allclose(three(calibration.left_out)[:, m], three(known.expected(made)))
+        np.testing.assert_allclose(three(calibration.expected_of_left_out)[:, m], three(known.expected(made)))
 
 
 def test_a_calibration_is_kept_in_the_library_for_its_instrument(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from manifold.estimate.coat import Coated
     from manifold.estimate.completions import Completed
     from manifold.estimate.suggestions import Suggested
+    from manifold.formats.readings import GlossUnits
     from manifold.many.batch import BatchCommand
 
     from .batch_options import S
@@ -259,7 +260,7 @@ def _suggest_first(results: terminal.Results, library: Path, asked: MadeOptions)
 
 
 def _complete_coat(
-    results: terminal.Results, library: Path, colour: LabOptions, units: Mapping[float, float],
+    results: terminal.Results, library: Path, colour: LabOptions, units: GlossUnits,
     output: Path | None, asked: MadeOptions,
 ) -> None:  # fmt: skip
     """Complete one colour and gloss by a coat over a diffuse base, and print the result."""

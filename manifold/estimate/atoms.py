@@ -268,7 +268,7 @@ class LibraryAtoms:
         lights = panel.judged()
         return lights.of(self._from_roots(self.ball, lights).T).T
 
-    def gloss(self, angles_deg: Sequence[float]) -> Array:
+    def at_gloss_meters(self, angles_deg: Sequence[float]) -> Array:
         """Return means of atoms over the apertures of gloss meters at G angles, shape (n, G).
 
         They are cube roots, or f in 1/sr.

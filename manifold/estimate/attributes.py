@@ -11,7 +11,6 @@ import re
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -33,7 +32,7 @@ from manifold.core.judged_lights import LIGHTS
 from manifold.core.pairs import Pairs
 from manifold.core.records import Array, Bands, plain
 from manifold.estimate.gloss import gloss_units, half_gloss_meter
-from manifold.formats.readings import DAYLIGHT, GLOSS_ANGLES_DEG, Readings, gloss_fault
+from manifold.formats.readings import DAYLIGHT, GLOSS_ANGLES_DEG, NO_GLOSS, GlossUnits, Readings, gloss_fault
 from manifold.library.store import Library
 from manifold.model.blend_space import require_blends
 from manifold.model.colours import NEAREST, ColourChoice
@@ -344,7 +343,7 @@ def _colours_at(model: Manifold, place: Place, factor: Array) -> Array:
     return require_blends(model.space).colours_of(place.latent, factor, decoder, np.array([np.pi]))[0]
 
 
-def readings_of_colour(lab: Array, gloss: Mapping[float, float], bands: Bands) -> Readings:
+def readings_of_colour(lab: Array, gloss: GlossUnits, bands: Bands) -> Readings:
     """Return a colour (3,), CIELAB under D65 at 45/0, and gloss units by angle, as readings of a material.
 
     The spectrum is the smoothest of that colour, as colours have no other.
@@ -411,7 +410,7 @@ class Found:
 
     name: str
     lab: Array
-    gloss: Mapping[float, float]
+    gloss: GlossUnits
     ciede2000: float | None
     light: str | None
     distance: float
@@ -426,7 +425,7 @@ def find(
     material: BRDF | Readings | None = None,
     *,
     lab: ArrayLike | None = None,
-    gloss: Mapping[float, float] = MappingProxyType({}),
+    gloss: GlossUnits = NO_GLOSS,
 ) -> list[Found]:
     """Return a library's materials, ordered by their resemblance to another, or to a colour and gloss.
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -53,7 +53,7 @@ from manifold.estimate.inputs import safe_name
 from manifold.estimate.suggestions import Suggested, directions_left, suggest
 from manifold.formats import column_heads
 from manifold.formats.column_heads import gloss_angle
-from manifold.formats.readings import DAYLIGHT, Viewing, gloss_fault
+from manifold.formats.readings import DAYLIGHT, GLOSS_ANGLES_DEG, GlossUnits, Viewing, gloss_fault
 from manifold.formats.text import CORRECT_CELL, data_lines, decode, list_rows, number, with_whole_name
 from manifold.library.store import Library
 from manifold.model.decoding import integrating_sphere
@@ -78,7 +78,7 @@ class ColourSample:
 
     name: str
     lab: tuple[float, float, float]
-    gloss: Mapping[float, float]
+    gloss: GlossUnits
 
     def made_of(self) -> dict[str, Any]:
         """Return all that the content depends on, as plain values."""
@@ -118,7 +118,7 @@ class Coated(Result):
             f"CIEDE2000 {result.ciede2000:.1f} from the requested one",
         )
     )  # fmt: skip
-    gloss: Mapping[float, float] = field(
+    gloss: GlossUnits = field(
         metadata=entry(
             row="gloss",
             words=lambda result: [
@@ -167,7 +167,7 @@ class Coated(Result):
         return float(delta_e_2000_lab(np.array(self.sample.lab), self.lab))
 
 
-def coat_of(lab: Array, gloss: Mapping[float, float], bands: Bands) -> tuple[Plastic, float]:
+def coat_of(lab: Array, gloss: GlossUnits, bands: Bands) -> tuple[Plastic, float]:
     """Return the coat over a Lambertian nearest to a colour and gloss units by angle, and its alpha.
 
     The colour is CIELAB at 45/0 under D65, (3,).
@@ -183,7 +183,7 @@ def coat_of(lab: Array, gloss: Mapping[float, float], bands: Bands) -> tuple[Pla
     return nearest_coat(lambda surface: target - surface, bands, off)
 
 
-def gloss_misfits(units: Array, wanted: Mapping[float, float]) -> Array:
+def gloss_misfits(units: Array, wanted: GlossUnits) -> Array:
     """Return differences of logarithms from the wanted gloss units (G,), divided by the tolerance."""
     logs = [np.log(np.maximum(some, LEAST_GLOSS)) for some in (units, list(wanted.values()))]
     return np.asarray((logs[0] - logs[1]) / _ROUNDING)
@@ -256,7 +256,7 @@ def complete(
         stages.begin("rendering")
         draw_ball(output, picture)
     brdf = coat if written.file is None else MeasuredBRDF(written.file)
-    lab, gloss = lab_of(brdf), gloss_units(brdf)
+    lab, gloss = lab_of(brdf), gloss_units(brdf, GLOSS_ANGLES_DEG)
     off = float(delta_e_2000_lab(np.array(sample.lab), lab))
     if off > COLOUR_TOLERANCE:
         expected = expected.beside(Errors(ball=off))
@@ -269,7 +269,7 @@ def complete(
     )  # fmt: skip
 
 
-def missed_gloss(sample: ColourSample, gloss: Mapping[float, float]) -> dict[float, float]:
+def missed_gloss(sample: ColourSample, gloss: GlossUnits) -> dict[float, float]:
     """Return the requested gloss units that were not reached, by angle in degrees."""
     return {
         angle: asked
@@ -278,7 +278,7 @@ def missed_gloss(sample: ColourSample, gloss: Mapping[float, float]) -> dict[flo
     }
 
 
-def _missed(sample: ColourSample, lab: Array, gloss: Mapping[float, float]) -> list[str]:
+def _missed(sample: ColourSample, lab: Array, gloss: GlossUnits) -> list[str]:
     """Return sentences on the values that were not reached."""
     missed = missed_gloss(sample, gloss)
     is_more = [gloss[angle] > asked for angle, asked in missed.items()]
@@ -328,9 +328,7 @@ def _calibrated(atoms: LibraryAtoms, angles_deg: tuple[float, ...]) -> Calibrati
 _EXPECTED = "expected name, L, a, b, such as red,50,60,40, or a header that names the columns"
 
 
-def read_colours(
-    path: Path, gloss: Mapping[float, float], viewing: Viewing | None = None
-) -> list[ColourSample]:
+def read_colours(path: Path, gloss: GlossUnits, viewing: Viewing | None = None) -> list[ColourSample]:
     """Read the colours of a text or CSV file, of which a line is `[name] L a b`.
 
     A header may order the columns (`name`, `L`, `a`, `b`) and name their light and observer (`L* (D50/2)`); a comment
@@ -447,13 +445,13 @@ def _highlight(
     return rest + ratio * (new_surface - surface), share
 
 
-def with_gloss(brdf: BRDF, gloss: Mapping[float, float]) -> RecoatedBRDF:
+def with_gloss(brdf: BRDF, gloss: GlossUnits) -> RecoatedBRDF:
     """Return a material with a coat of other gloss units above 0 by angle in degrees, and its old colour at 45/0.
 
     The present coat is the one over a Lambertian that has the material's gloss at 20, 60 and 85 degrees.
     """
     bands, meters = brdf.bands, [gloss_meter(angle) for angle in gloss]
-    old, _ = coat_of(lab_of(brdf), gloss_units(brdf), bands)
+    old, _ = coat_of(lab_of(brdf), gloss_units(brdf, GLOSS_ANGLES_DEG), bands)
     values = [(np.maximum(values_at(brdf, m), 0.0), _parts(old, m.wi, m.wo)) for m in meters]
     highlights = [
         m.of(np.maximum(f - base, 0.0))[0] / m.of(surface)[0]
@@ -486,7 +484,7 @@ def with_factor(brdf: BRDF, factor: Array, meter: Picture) -> RecoatedBRDF:
     coat, as a metal's does, which has the metal's colour.
     """
     bands = brdf.bands
-    old, _ = coat_of(lab_of(brdf), gloss_units(brdf), bands)
+    old, _ = coat_of(lab_of(brdf), gloss_units(brdf, GLOSS_ANGLES_DEG), bands)
     sphere = integrating_sphere()
     (f, of_old), (inside, (_, base)) = (
         (np.maximum(values_at(brdf, m), 0.0), _parts(old, m.wi, m.wo)) for m in (meter, sphere)

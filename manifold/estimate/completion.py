@@ -34,7 +34,7 @@ from manifold.estimate.solving import (
     solve,
     solve_pictures,
 )
-from manifold.formats.readings import DAYLIGHT, Assumption, Readings, Viewing
+from manifold.formats.readings import DAYLIGHT, GLOSS_ANGLES_DEG, Assumption, Readings, Viewing
 
 _SHOWN_ALTERNATIVES = 5
 _NEAR_MIRROR_DEG = 5.0  # from a mirror direction, where readings measure all but the sharpest highlights
@@ -213,7 +213,7 @@ class Completion:
     @cached_property
     def gloss(self) -> dict[float, float]:
         """Gloss units of the completion, by angle in degrees."""
-        return gloss_units(self.written or self.brdf)
+        return gloss_units(self.written or self.brdf, GLOSS_ANGLES_DEG)
 
     @cached_property
     def misfits(self) -> Array:

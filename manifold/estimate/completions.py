@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -37,7 +36,16 @@ from manifold.estimate.picture_colours import with_picture_colours
 from manifold.estimate.sightings import PhotoRequest, SeenBall, see
 from manifold.estimate.solving import CONTRADICTION, Seen
 from manifold.estimate.suggestions import Suggested, directions_left, suggest
-from manifold.formats.readings import Assumption, Between, Readings, Viewing, assumptions_first, gloss_fault
+from manifold.formats.readings import (
+    NO_GLOSS,
+    Assumption,
+    Between,
+    GlossUnits,
+    Readings,
+    Viewing,
+    assumptions_first,
+    gloss_fault,
+)
 from manifold.formats.text import number
 from manifold.library.store import Library
 from manifold.model import diagnostics
@@ -395,7 +403,7 @@ def observe(
     library: Library,
     stages: Stages,
     readings: Readings | None = None,
-    gloss: Mapping[float, float] = MappingProxyType({}),
+    gloss: GlossUnits = NO_GLOSS,
     pictures: PhotoRequest | None = None,
 ) -> tuple[Completion, Calibration, tuple[SeenBall, ...]]:
     """Complete the readings, gloss and pictures of a material with a library as prior.
@@ -457,7 +465,7 @@ def complete(
     output: Path,
     *,
     pictures: PhotoRequest | None = None,
-    gloss: Mapping[float, float] = MappingProxyType({}),
+    gloss: GlossUnits = NO_GLOSS,
     sample: str | None = None,
     correction: ColourCorrection | None = None,
     picture: Path | None = None,

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +15,7 @@ from manifold.colour.difference import lab_values
 from manifold.core.directions import angles_from_mirror, from_spherical
 from manifold.core.records import Array, evenly_spaced
 from manifold.estimate.gloss import gloss_units
-from manifold.formats.readings import GLOSS_ANGLES_DEG, Readings
+from manifold.formats.readings import GLOSS_ANGLES_DEG, NO_GLOSS, GlossUnits, Readings
 from manifold.io_rgl import read_bsdf
 from manifold.pictures import html_page
 from manifold.pictures.html_page import Section
@@ -332,7 +331,7 @@ def flop_index(angles: Array, lab: Array) -> float | None:
     return float(2.69 * max(bright - dark, 0.0) ** 1.11 / max(middle, 1e-3) ** 0.86)
 
 
-def gloss(brdf: BRDF, read: Mapping[float, float] = MappingProxyType({})) -> Section:
+def gloss(brdf: BRDF, read: GlossUnits = NO_GLOSS) -> Section:
     """Return gloss units of a material, beside those that were read, by angle in degrees."""
     units_by_angle = gloss_units(brdf, GLOSS_ANGLES_DEG)
     measured = {

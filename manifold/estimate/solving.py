@@ -31,10 +31,10 @@ from manifold.estimate.mixtures import (
 from manifold.estimate.pixel_mixtures import GRID_STRIDE, MODEL_ERROR, PixelPosterior, pixel_mixtures
 from manifold.estimate.residual import ResidualFactors, coordinates, residual_factors
 from manifold.estimate.sightings import Sighting, unlit
-from manifold.formats.readings import Readings
+from manifold.formats.readings import GlossUnits, Readings
 from manifold.model.estimator import LEAST, Observation, explain
 
-Seen = Sighting | Readings | Mapping[float, float]
+Seen = Sighting | Readings | GlossUnits
 """An observation of a material: a picture, readings, or gloss units by angle in degrees."""
 
 CONTRADICTION = 0.2

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -41,11 +41,17 @@ NO_UNIT = "no unit given"
 
 _CONTRADICTION = 0.1  # scatter of repeated readings that is noted
 
-GLOSS_ANGLES_DEG = (20.0, 60.0, 85.0)
-"""Incidences of gloss meters in degrees (ISO 2813)."""
+GlossUnits: TypeAlias = Mapping[float, float]
+"""Gloss units by the angle of the gloss meter in degrees, one or more of `GLOSS_ANGLES_DEG`."""
 
-MOST_GLOSS = {20.0: 2040.0, 60.0: 1000.0, 85.0: 162.0}
-"""Gloss units of a mirror that reflects all light, by angle: 100 over the reflectance of glass of index 1.567."""
+NO_GLOSS: GlossUnits = MappingProxyType({})
+"""No reading of gloss."""
+
+MOST_GLOSS: GlossUnits = {20.0: 2040.0, 60.0: 1000.0, 85.0: 162.0}
+"""Gloss units of a mirror that reflects all light: 100 over the reflectance of glass of index 1.567."""
+
+GLOSS_ANGLES_DEG = tuple(MOST_GLOSS)
+"""Incidences of gloss meters in degrees (ISO 2813)."""
 
 
 class Viewing(NamedTuple):
@@ -129,7 +135,7 @@ class Readings:
     weights: Array = field(default_factory=lambda: np.zeros(0))
     notes: tuple[str, ...] = ()
     texture: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
-    gloss: Mapping[float, float] = field(default_factory=lambda: MappingProxyType({}))
+    gloss: GlossUnits = field(default_factory=lambda: NO_GLOSS)
     scatter: Array = field(default_factory=lambda: np.zeros(0))
     colour_error: float = 0.0
     estimated_from: int | None = None

@@ -18,7 +18,13 @@ from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, Transfo
 from sklearn.utils import check_array
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from manifold.core.defaults import DEFAULT_MU
+from manifold.core.defaults import (
+    DEFAULT_KERNEL,
+    DEFAULT_LENGTH_SCALE,
+    DEFAULT_MU,
+    DEFAULT_OPTIMIZER,
+    DEFAULT_PRIOR,
+)
 from manifold.core.errors import UsageError
 from manifold.core.records import Array
 from manifold.dls import STOPPED, FunctionObjective, MoveObjective, direct_local_search
@@ -122,8 +128,9 @@ def descend(run: Run, X: Array) -> tuple[Array, float]:
 
 
 def log_likelihood(
-    X: Array, S: Array, n_outputs: int, *, mu: float = DEFAULT_MU, length_scale: float = 1.0,
-    kernel: str | type[Kernel] = "se", output_variance: float | None = 1.0,
+    X: Array, S: Array, n_outputs: int, *, mu: float = DEFAULT_MU,
+    length_scale: float = DEFAULT_LENGTH_SCALE, kernel: str | type[Kernel] = DEFAULT_KERNEL,
+    output_variance: float | None = 1.0,
 ) -> float:  # fmt: skip
     """Return the log likelihood of latents, `log p(Y | X)`, with its constants.
 
@@ -203,10 +210,10 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         n_components: int = 2,
         *,
         mu: float = DEFAULT_MU,
-        length_scale: float = 1.0,
-        kernel: str | type[Kernel] = "se",
-        optimizer: str = "dls",
-        prior: float = 0.0,
+        length_scale: float = DEFAULT_LENGTH_SCALE,
+        kernel: str | type[Kernel] = DEFAULT_KERNEL,
+        optimizer: str = DEFAULT_OPTIMIZER,
+        prior: float = DEFAULT_PRIOR,
         output_variance: float | None = None,
         start_scale: float = 1.0,
         farthest_first: bool = True,

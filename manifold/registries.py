@@ -210,6 +210,9 @@ FORMATS: Registry[Any] = Registry(
 An entry is a module, see `manifold.formats.registry`.
 """
 
+FIT_SUFFIX = ".fit.json"
+"""How names of files of fits end."""
+
 EXPORT_SUFFIXES = {
     "gltf": ".glb",
     "openpbr": ".mtlx",

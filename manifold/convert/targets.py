@@ -11,6 +11,7 @@ import numpy as np
 from manifold import __version__
 from manifold.brdf import goniometer
 from manifold.convert.source import LEAST_COSINE, ConversionSource
+from manifold.core.defaults import CONVERTED_RESOLUTION
 from manifold.core.directions import from_spherical, rotate_z
 from manifold.core.errors import UsageError
 from manifold.core.names import percent
@@ -80,7 +81,7 @@ class Options(NamedTuple):
     """The grid of a written RGL file; without options, an RGL file is copied byte for byte.
 
     Attributes:
-        resolution: nodes per axis of its outgoing grid, by default 64.
+        resolution: nodes per axis of its outgoing grid; None is `CONVERTED_RESOLUTION`.
         n_theta_i: number of angles of incidence in addition to those of the file; by default 16, or 48 if the file
             has none.
     """
@@ -103,7 +104,7 @@ def _write_rgl(path: Path, source: ConversionSource, options: Options) -> list[s
     theta_i: Array = np.unique(np.concatenate([own, others, spread[[0, -1]]]))
     file = goniometer.measure(
         brdf, source.nodes.name, description=f"Converted from {source.nodes.instrument} by manifold {__version__}",
-        resolution=options.resolution or 64, theta_i_rad=theta_i, compensate=False,
+        resolution=options.resolution or CONVERTED_RESOLUTION, theta_i_rad=theta_i, compensate=False,
         bend=goniometer.SOFT_BEND,
     )  # fmt: skip
     write_bsdf(path, file)

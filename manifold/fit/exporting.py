@@ -32,7 +32,7 @@ from manifold.fit.exports.targets import Target, TargetBRDF, target_of
 from manifold.fit.fit_metrics import ball_errors, missed_highlight
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.principled import fit_bsdf
-from manifold.formats.recognition import FIT_SUFFIX, is_fit, is_library, is_rgl
+from manifold.formats.recognition import is_fit, is_library, is_rgl
 from manifold.io_rgl import material_name, read_bsdf
 from manifold.library.identity import file_sha256
 from manifold.library.store import Library
@@ -44,7 +44,7 @@ from manifold.model.places import PlaceLike
 from manifold.pictures import export_sheet, figures, html_page
 from manifold.pictures import fit_comparison as comparison
 from manifold.pictures.slice_figures import ShownBRDF
-from manifold.registries import TARGETS
+from manifold.registries import FIT_SUFFIX, TARGETS
 from manifold.render import fit_json
 from manifold.render.fitted_brdf import FittedBRDF
 

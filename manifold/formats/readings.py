@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from manifold.core.defaults import ILLUMINANT, OBSERVER_DEG, REPEATABILITY
 from manifold.core.directions import from_spherical, require_directions
 from manifold.core.errors import ShapeError, UsageError
 from manifold.core.names import counted
@@ -26,12 +27,6 @@ _MA_T12 = (
 )
 MA_T12_NAMES = tuple(f"{anchor}as{aspecular}" for anchor, aspecular in _MA_T12)
 """The 12 geometries of an MA-T12, in the order of `geometry_ma_t12`."""
-
-REPEATABILITY = 0.0025
-"""Repeatability of a spectrophotometer, relative: 0.05 CIEDE2000."""
-
-GONIOMETER = 0.03
-"""Repeatability of a goniometer."""
 
 UNITS = {"brdf": 1.0, "factor": 1.0 / np.pi, "percent": 0.01 / np.pi}
 """Units of values in tables, in 1/sr: the BRDF, reflectance factors, and these in per cent."""
@@ -62,8 +57,8 @@ class Viewing(NamedTuple):
         observer_deg: field of view of CIE's standard observer, 2 (1931) or 10 (1964).
     """
 
-    illuminant: str = "D65"
-    observer_deg: int = 2
+    illuminant: str = ILLUMINANT
+    observer_deg: int = OBSERVER_DEG
 
     def __str__(self) -> str:
         return f"{self.illuminant}/{self.observer_deg}"

@@ -20,6 +20,7 @@ from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour import panel
 from manifold.colour.conversion import file_to_srgb
 from manifold.core import disk
+from manifold.core.defaults import SHADER_TOLERANCE
 from manifold.core.errors import UsageError
 from manifold.core.judged_lights import BALL, BALL_COLUMN, LIGHTS
 from manifold.core.metrics import Errors
@@ -27,10 +28,11 @@ from manifold.core.records import BsdfFile
 from manifold.estimate.inputs import Input
 from manifold.estimate.source_files import read_source
 from manifold.estimate.sources import FileSource, MaterialSource
-from manifold.formats.recognition import FIT_SUFFIX, is_fit
+from manifold.formats.recognition import is_fit
 from manifold.many.batch import Batch, BatchCommand, Content, Outcome, make_folder
 from manifold.model.output_file import FINE_OPTIONS
 from manifold.pictures import html_page
+from manifold.registries import FIT_SUFFIX
 from manifold.render import images
 from manifold.render.fitted_brdf import FittedBRDF
 from manifold.shader import code, ktx2
@@ -41,7 +43,6 @@ from manifold.shader.table import SUMS, ShaderTable, Shape, shapes_of, tabulate
 
 TARGET = "shader"
 """The word of `manifold export --target`."""
-DEFAULT_TOLERANCE = 0.3
 MOST_BYTES = 1 << 20
 """Bytes of a texture."""
 
@@ -72,7 +73,7 @@ class Shader:
 
 
 def make_shader(
-    file: BsdfFile, material: EvaluableBRDF | None = None, *, tolerance: float = DEFAULT_TOLERANCE
+    file: BsdfFile, material: EvaluableBRDF | None = None, *, tolerance: float = SHADER_TOLERANCE
 ) -> Shader:
     """Return the smallest table within a tolerance, in CIEDE2000 of the ball (mean of the judged lights).
 
@@ -136,7 +137,7 @@ def read_material(source: MaterialSource) -> tuple[BsdfFile, EvaluableBRDF | Non
 
 
 def export(
-    source: MaterialSource, folder: Path, *, tolerance: float = DEFAULT_TOLERANCE, with_picture: bool = False,
+    source: MaterialSource, folder: Path, *, tolerance: float = SHADER_TOLERANCE, with_picture: bool = False,
     prefix: str | None = None,
 ) -> Outcome[MaterialSource]:  # fmt: skip
     """Write the table, the code in all languages, the layout and the page of a material into a folder.

@@ -48,7 +48,7 @@ from manifold.registries import OPTIMIZERS
 FitCallback = Callable[[int, float], Any]
 
 _FIRST_STEP = 0.1  # first step of direct local search, in length scales
-_LAST_STEP = 100.0  # last step of direct local search, in length scales times the tolerance
+_SMALLEST_STEP_PER_TOL = 100.0  # its smallest step, in length scales per unit of `tol`
 
 
 class Run:
@@ -79,8 +79,8 @@ class Run:
             self.callback(self.n_iter, self.best)
 
 
-def search(run: Run, X: Array) -> Array:
-    """Minimise from X (N, Q) by direct local search (Hooke & Jeeves), without a gradient; return latents.
+def minimise_by_dls(run: Run, X: Array) -> None:
+    """Minimise from X (N, Q) by direct local search (Hooke & Jeeves), without a gradient, and report to the run.
 
     Source: Hikichi & Iwasaki, section 3.4.
     """
@@ -94,7 +94,7 @@ def search(run: Run, X: Array) -> Array:
     result = direct_local_search(
         moves,
         initial_step=_FIRST_STEP * l,
-        tolerance=_LAST_STEP * run.tol * l,
+        tolerance=_SMALLEST_STEP_PER_TOL * run.tol * l,
         maxfev=np.iinfo(np.int64).max,
         max_sweeps=run.max_iter,
         callback=run.report,
@@ -102,11 +102,10 @@ def search(run: Run, X: Array) -> Array:
     run.n_evaluations += result.nfev
     if result.status == STOPPED:
         raise StopIteration
-    return result.x.reshape(X.shape)
 
 
-def descend(run: Run, X: Array) -> tuple[Array, float]:
-    """Minimise from X (N, Q) by L-BFGS; return latents and their value."""
+def minimise_by_lbfgs(run: Run, X: Array) -> None:
+    """Minimise from X (N, Q) by L-BFGS, and report to the run."""
     objective = run.objective
 
     def flat(x: Array) -> tuple[float, Array]:
@@ -124,7 +123,6 @@ def descend(run: Run, X: Array) -> tuple[Array, float]:
     run.n_evaluations += int(result.nfev)
     if result.status == STOPPED:
         raise StopIteration
-    return result.x.reshape(X.shape), float(result.fun)
 
 
 def log_likelihood(

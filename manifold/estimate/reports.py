@@ -12,7 +12,7 @@ from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.notebook import ball_image, sun_image
 from manifold.colour.difference import lab_values
-from manifold.core.directions import angles_from_mirror, from_spherical
+from manifold.core.directions import NEAR_MIRROR_DEG, angles_from_mirror, from_spherical
 from manifold.core.records import Array, evenly_spaced
 from manifold.estimate.gloss import gloss_units
 from manifold.formats.readings import GLOSS_ANGLES_DEG, NO_GLOSS, GlossUnits, Readings
@@ -42,7 +42,6 @@ _MOST_READINGS = 60  # rows of a table: of more readings, those that differ most
 _FLOP_DEG = (15.0, 45.0, 110.0)
 _MOST_INCIDENCES, _MOST_SPECTRA = 4, 6  # lines of a figure
 _GRAZING_DEG = 80.0  # largest outgoing angle of curves
-_HIGHLIGHT_DEG = 10.0  # from the mirror direction, where values do not set the frame
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#000000")
 
 
@@ -218,7 +217,7 @@ def _of_colours(made: Completion, left_out: LeftOutReadings | None) -> list[Sect
     figures = [
         (
             "over the aspecular angle; lines: completed, band: within the factor of 90 % probability, dots: readings; "
-            "highlights within 10 degrees of the mirror direction may exceed the frame",
+            f"highlights within {NEAR_MIRROR_DEG:g} degrees of the mirror direction may exceed the frame",
             _colour_figure(made, angles, read),
         )
     ]
@@ -249,7 +248,7 @@ def _colour_figure(made: Completion, angles: Array, read: Array) -> Figure | Non
     picked = evenly_spaced(len(known), _MOST_INCIDENCES)
     for colour, incidence in zip(_COLOURS, known[picked], strict=False):
         aspecular, lab, lightness = _along_plane(made, float(incidence))
-        shown.append(lab[np.abs(aspecular) > _HIGHLIGHT_DEG])
+        shown.append(lab[np.abs(aspecular) > NEAR_MIRROR_DEG])
         own = in_plane & (incidences == incidence)
         axes[0].fill_between(aspecular, *lightness, color=colour, alpha=0.15, linewidth=0.0)
         for k, one in enumerate(axes):

@@ -308,13 +308,14 @@ def show_completed(
 
     The next command exports it, or suggests more readings if it is not to be used.
     """
+    from manifold.estimate.completions import NextStep
+
     rows = completed.summary | ({} if report is None else {"report": report})
     assert completed.path is not None
     rows["next"] = terminal.export_command(completed.path)
-    advice = str(rows.get("advice", ""))
-    if advice.startswith("do not use it: "):  # the values themselves are in doubt, see `completions.advise`
+    if completed.next_step is NextStep.CHECK_OBSERVATIONS:
         del rows["next"]
-    elif readings and advice.startswith("do not"):
+    elif readings and completed.next_step is NextStep.READ_MORE:
         command = f"manifold complete {shlex.join(map(str, readings))}"
         is_suggested = completed.suggested is not None
         rows["next"] = "measure the directions below" if is_suggested else f"{command} --suggest 3"

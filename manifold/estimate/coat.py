@@ -46,7 +46,7 @@ from manifold.estimate.attributes import (
     tinted,
 )
 from manifold.estimate.completion import Completion
-from manifold.estimate.completions import atoms_of, colour_under_d65, draw_ball
+from manifold.estimate.completions import NextStep, atoms_of, colour_under_d65, draw_ball
 from manifold.estimate.expected import CALIBRATION_VERSION, Calibration, cached, errors_of, typical
 from manifold.estimate.gloss import gloss_meter, gloss_units
 from manifold.estimate.inputs import safe_name
@@ -149,6 +149,11 @@ class Coated(Result):
 
     diagnostics: tuple[str, ...] = field(metadata=entry())
     seconds: float = field(metadata=entry())
+
+    @property
+    def next_step(self) -> NextStep:
+        """What to do next: a coat has no readings that could be in doubt."""
+        return NextStep.EXPORT
 
     @property
     def missed_in_words(self) -> list[str]:

@@ -13,9 +13,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.unmeasured_cells import LEAST_COSINE
 from manifold.colour.correction import read_correction
 from manifold.convert.source import (
-    LEAST_COSINE,
     ConversionSource,
     in_luminance,
     open_source,

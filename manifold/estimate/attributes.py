@@ -348,7 +348,7 @@ def readings_of_colour(lab: Array, gloss: GlossUnits, bands: Bands) -> Readings:
 
     The spectrum is the smoothest of that colour, as colours have no other.
     """
-    values = tinted(np.full(bands.count, _GREY), lab, bands)[None] / np.pi
+    values = factor_of_colour(lab, bands)[None] / np.pi
     name = "L {:.4g}, a {:.4g}, b {:.4g}".format(*lab)
     wavelengths = None if bands.is_rgb else np.asarray(bands.wavelengths_nm)
     wi, wo = COLOUR_GEOMETRY
@@ -358,6 +358,11 @@ def readings_of_colour(lab: Array, gloss: GlossUnits, bands: Bands) -> Readings:
 def lab_of(brdf: EvaluableBRDF) -> Array:
     """Return the CIELAB (3,) of a BRDF under D65, lit at 45 degrees and seen along the normal."""
     return lab_of_factor(factor_of(brdf), brdf.bands)
+
+
+def factor_of_colour(lab: Array, bands: Bands) -> Array:
+    """Return the smoothest reflectance factor (B,) of a colour (3,), near that of a grey."""
+    return tinted(np.full(bands.count, _GREY), np.asarray(lab, float), bands)
 
 
 def tinted(factor: Array, lab: Array, bands: Bands) -> Array:

@@ -40,10 +40,10 @@ from manifold.estimate.attributes import (
     GLOSS_TOLERANCE,
     LEAST_GLOSS,
     factor_of,
+    factor_of_colour,
     lab_of,
     lab_of_factor,
     readings_of_colour,
-    tinted,
 )
 from manifold.estimate.completion import Completion
 from manifold.estimate.completions import NextStep, atoms_of, colour_under_d65, draw_ball
@@ -64,7 +64,7 @@ _INDEX_SPREAD = 0.3  # its standard deviation, which lets gloss of several angle
 _INDICES, _ALPHAS = (1.05, 1.8), (0.01, 1.0)
 _STARTS = (0.015, 0.03, 0.06, 0.12, 0.24, 0.5)  # roughness alpha at the start
 _EVALUATIONS = 15
-_ROUNDING, COLOUR_ROUNDING = 0.02, 1.0  # largest differences of log gloss, and in CIELAB
+_ROUNDING = 0.02  # difference of log gloss that weighs as much as `COLOUR_TOLERANCE` in CIELAB
 
 
 @dataclass(frozen=True)
@@ -179,11 +179,11 @@ def coat_of(lab: Array, gloss: GlossUnits, bands: Bands) -> tuple[Plastic, float
 
     Its index stays near 1.5 unless the gloss asks for another.
     """
-    target = tinted(np.full(bands.count, 0.2), np.asarray(lab, float), bands)
+    target = factor_of_colour(lab, bands)
 
     def off(coat: Plastic) -> Array:
         reached = np.array(list(gloss_units(coat, gloss).values()))
-        return np.append(gloss_misfits(reached, gloss), (lab_of(coat) - lab) / COLOUR_ROUNDING)
+        return np.append(gloss_misfits(reached, gloss), (lab_of(coat) - lab) / COLOUR_TOLERANCE)
 
     return nearest_coat(lambda surface: target - surface, bands, off)
 
@@ -471,7 +471,7 @@ def with_gloss(brdf: BRDF, gloss: GlossUnits) -> RecoatedBRDF:
             for m, (f, parts) in zip(meters, values, strict=True)
         ]
         seen = lab_of_factor(exchanged(factor, of_old, _factors(new), strength), bands)
-        return np.append(gloss_misfits(np.array(made), gloss), (seen - colour) / COLOUR_ROUNDING)
+        return np.append(gloss_misfits(np.array(made), gloss), (seen - colour) / COLOUR_TOLERANCE)
 
     def below(surface: Array) -> Array:
         """Keep the colour: replace the light that the new surface's highlight lacks."""

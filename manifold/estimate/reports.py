@@ -12,6 +12,7 @@ from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.notebook import ball_image, sun_image
 from manifold.colour.difference import lab_values
+from manifold.colour.panel import SUN_DEG
 from manifold.core.directions import NEAR_MIRROR_DEG, angles_from_mirror, from_spherical
 from manifold.core.records import Array, evenly_spaced
 from manifold.estimate.gloss import gloss_units
@@ -36,7 +37,6 @@ _BALL, _WIDTH = 256, 192  # pixels of a ball, and on the page
 _WIDE = 800  # pixels of a figure on the page
 _COARSE_BALL = 96  # without Mitsuba
 _SUN_SHARE = 0.625  # of the frame's width that the ball fills, as in the studio
-_SUN_DEG = 45.0
 _BACKGROUND = 0.12
 _MOST_READINGS = 60  # rows of a table: of more readings, those that differ most
 _FLOP_DEG = (15.0, 45.0, 110.0)
@@ -143,7 +143,7 @@ def balls(brdf: BRDF) -> Section:
     studio = studio_ball(brdf)
     margin = round(0.5 * _BALL * (1.0 - _SUN_SHARE))
     size = _BALL - 2 * margin
-    sun, is_lit = sun_image(brdf, size, _SUN_DEG)
+    sun, is_lit = sun_image(brdf, size, SUN_DEG)
     across = 2.0 * (np.arange(size) + 0.5) / size - 1.0
     beside = np.hypot(across, across[:, None])[..., None] > 1.0
     framed = np.pad(
@@ -152,7 +152,7 @@ def balls(brdf: BRDF) -> Section:
         constant_values=_BACKGROUND,
     )
     shown = [studio, framed]
-    names = ("in the studio", f"under a sun {_SUN_DEG:g} degrees beside the view")
+    names = ("in the studio", f"under a sun {SUN_DEG:g} degrees beside the view")
     pictures = [
         (name, html_page.picture(image, f"ball {name}", _WIDTH))
         for name, image in zip(names, shown, strict=True)

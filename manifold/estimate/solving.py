@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeAlias
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -34,7 +35,7 @@ from manifold.estimate.sightings import Sighting, unlit
 from manifold.formats.readings import GlossUnits, Readings
 from manifold.model.estimator import LEAST, Observation, explain
 
-Seen = Sighting | Readings | GlossUnits
+Seen: TypeAlias = Sighting | Readings | GlossUnits
 """An observation of a material: a picture, readings, or gloss units by angle in degrees."""
 
 CONTRADICTION = 0.2

@@ -16,6 +16,7 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.orientation import aligned
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour.difference import VISIBLE
+from manifold.colour.panel import SUN_DEG
 from manifold.core import disk, shipped
 from manifold.core.errors import UsageError
 from manifold.core.judged_lights import BALL, BALL_COLUMN, LIGHTS, light_in_words
@@ -401,7 +402,7 @@ def _write_index(target: Target, made: Batch[ExportSource]) -> None:
             cards.append(html_page.card(picture, f"balls of {one.name}", one.path.name, one.name, words))
     intro = (
         "Each picture: left the material, right its export; above in the studio, below under a sun "
-        f"{export_sheet.SUN_DEG:.0f} degrees beside the view. CIEDE2000 of the ball between the two, in the mean of "
+        f"{SUN_DEG:.0f} degrees beside the view. CIEDE2000 of the ball between the two, in the mean of "
         f"{LIGHTS} that the fit did not use, and in the worst (sun N: a sun N degrees beside the view)."
     )
     failed = [f"{one.name}: {one.failure}" for one in made.outcomes if one.failure is not None]

@@ -25,7 +25,9 @@ from manifold.gp.likelihood import require_prior
 from manifold.registries import MAPPINGS, OPTIMIZERS
 
 SAMPLE_BANDS = 5
-"""Largest number of bands per material in colour paths and reconstructions."""
+"""Largest number of bands per material that are samples or atoms: in colour paths, reconstructions and completions."""
+COMPARED_BANDS, LEARNT_BANDS = 12, 20
+"""Largest numbers of bands, evenly spaced, in which materials are compared, and which methods learn from."""
 
 
 @dataclass(frozen=True)

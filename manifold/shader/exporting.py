@@ -19,6 +19,7 @@ from manifold.brdf.notebook import ball_image, sun_image
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour import panel
 from manifold.colour.conversion import file_to_srgb
+from manifold.colour.panel import SUN_DEG
 from manifold.core import disk
 from manifold.core.defaults import SHADER_TOLERANCE
 from manifold.core.errors import UsageError
@@ -48,7 +49,7 @@ MOST_BYTES = 1 << 20
 
 LAYOUT, TEXTURE, CODE, PAGE = "manifold.json", "manifold.ktx2", "manifold", "index.html"
 PICTURE, BALLS = "manifold.png", "balls.png"
-_PACK_PIXELS, _PACK_SUN_DEG = 64, 45.0
+_PACK_PIXELS = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,7 +251,7 @@ def _layout(
 def _write_balls(path: Path, shader: Shader) -> None:
     """Draw four balls side by side: the source and the shader in the studio, then both under a sun."""
     parts = []
-    for draw in (ball_image, partial(sun_image, degrees=_PACK_SUN_DEG)):
+    for draw in (ball_image, partial(sun_image, degrees=SUN_DEG)):
         for brdf in (shader.source, shader.table):
             shown, inside = draw(brdf, size=_PACK_PIXELS)
             parts.append(np.where(inside[..., None], shown, 0.12))
@@ -272,7 +273,7 @@ def _write_index(made: Batch[Input]) -> None:
             )
     intro = (
         "Each picture: source, shader; source, shader. Left in the studio, right under a sun "
-        f"{_PACK_SUN_DEG:.0f} degrees beside the view. CIEDE2000 of the ball between the two, in the mean of "
+        f"{SUN_DEG:.0f} degrees beside the view. CIEDE2000 of the ball between the two, in the mean of "
         f"{LIGHTS}, and in the worst; size of the texture."
     )
     title = f"{len(cards)} measured materials as shaders"

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import reference
+from helpers.places import inside_hull
 from helpers.small_library import NAMES, measured, small_library
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -26,7 +27,6 @@ from manifold.model.blending import (
     affinities,
     blend_layout,
     blend_weights,
-    inside_hull,
     scaled,
     widest_gap,
 )

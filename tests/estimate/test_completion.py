@@ -39,8 +39,10 @@ from manifold.estimate.left_out_readings import left_out_readings
 from manifold.estimate.mixtures import (
     COATED,
     LIKE_ONE,
+    SHARES,
     Alike,
     ReadingRoots,
+    atom_pairs,
     band_mixtures,
     log_prior_of,
     material_prior,
@@ -154,6 +156,17 @@ def test_a_material_of_the_library_is_likelier_than_a_mixture_of_two_that_reads_
     assert found.probability[3] / found.probability[both].sum() == pytest.approx(
         0.8 / 15 / (0.2 / 36), rel=1e-6
     )
+
+
+def test_large_libraries_mix_some_pairs_of_materials_and_all_bands_of_each():
+    first, second, share = atom_pairs(200, 3)
+    is_pair = (share == SHARES[0]) & (first // 3 != second // 3)
+    assert np.count_nonzero(is_pair) == 40_000  # of 179,100
+    assert len(set(zip(first[is_pair].tolist(), second[is_pair].tolist(), strict=True))) == 40_000
+    assert len(np.unique(np.concatenate([first[is_pair], second[is_pair]]))) == 600
+    own = (share == SHARES[0]) & (first // 3 == second // 3)
+    assert np.count_nonzero(own) == 200 * 3
+    assert np.count_nonzero(share == 1.0) == 600
 
 
 def test_priors_of_mixtures_are_those_of_their_materials():

@@ -74,6 +74,13 @@ def test_the_objective_is_the_divergence_of_similarities_from_affinities(rng):
     np.testing.assert_allclose(found, expected, rtol=1e-8)  # affinities below 1e-9 are left out
 
 
+@pytest.mark.parametrize(("count", "perplexity"), [(100, 10.0), (25, 8.0), (6, 3.0), (3, 2.0)])
+def test_few_samples_keep_fewer_neighbours_but_three_where_there_are_as_many(rng, count, perplexity):
+    p = affinities(rng.uniform(0.1, 1.0, size=(count, count - 1)))
+    entropy = -np.sum(p * np.log(np.maximum(p, 1e-300)), axis=1)
+    np.testing.assert_allclose(np.exp(entropy), perplexity, rtol=1e-6)
+
+
 def test_affinities_have_one_perplexity_and_leave_out_what_is_infinitely_far(rng):
     distance = rng.uniform(0.1, 1.0, size=(60, 59)) * rng.uniform(0.01, 100.0, size=(60, 1))
     distance[:, :5] = np.inf

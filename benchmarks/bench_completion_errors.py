@@ -73,7 +73,7 @@ class Setup:
         wi, wo = self.wi, self.wo
         assert wi is not None
         assert wo is not None
-        at, of_library = truths.at(wi, wo), (atoms.at(wi, wo), atoms.gloss(self.gloss_deg))
+        at, of_library = truths.at(wi, wo), (atoms.at(wi, wo), atoms.at_gloss_meters(self.gloss_deg))
 
         def complete(m: int) -> Completion:
             gloss = gloss_units(truths.materials[m], self.gloss_deg) if self.gloss_deg else {}

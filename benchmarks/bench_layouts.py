@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 import warnings
 from pathlib import Path
@@ -20,11 +21,13 @@ from typing import Any
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+from helpers.places import inside_hull
+
 from manifold.colour import panel
 from manifold.evaluate.coherences import coherences
 from manifold.evaluate.report import tabulate_materials
 from manifold.library.store import Library
-from manifold.model.blending import inside_hull
 from manifold.model.coherence import LEAST_APART, most_similar
 from manifold.model.expected_error import coherence_of
 from manifold.model.manifold import Manifold

@@ -16,7 +16,7 @@ from typer.core import TyperCommand, TyperGroup
 from . import outputs
 from .defaults import use_built_in
 
-_REGISTRY = re.compile(r"\{(manifold[.\w]*)\.(\w+)\}")
+_NAMED = re.compile(r"\{(manifold[.\w]*)\.(\w+)(:[^}]*)?\}")
 _RANGE = re.compile(r"(; |\s*\[)[-\d.e<>=]*x[-\d.e<>=]*\]$")  # such as `; 2<=x<=128]`
 
 
@@ -93,10 +93,17 @@ class Command(TyperCommand):
     """Whether helps show all options; set by `--help-all`."""
 
     def get_help(self, ctx: Any) -> str:
-        """Return the help, in which `{manifold.registries.MAPPINGS}` stands for the names in that registry."""
+        """Return the help, in which `{manifold.registries.MAPPINGS}` stands for the names in that registry.
+
+        `{manifold.core.defaults.GONIOMETER:.0%}` stands for that default; what follows the colon is its format.
+        """
+
+        def value(found: re.Match[str]) -> str:
+            return format(getattr(import_module(found[1]), found[2]), (found[3] or ":")[1:])
+
         for each in (self, *self.params):
             if text := getattr(each, "help", None):
-                each.help = _REGISTRY.sub(lambda found: str(getattr(import_module(found[1]), found[2])), text)
+                each.help = _NAMED.sub(value, text)
         return super().get_help(ctx)
 
     def format_options(self, ctx: Any, formatter: Any) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,9 +24,13 @@ if TYPE_CHECKING:
     from manifold.estimate.coat import Coated
     from manifold.estimate.completions import Completed
     from manifold.estimate.suggestions import Suggested
+    from manifold.formats.readings import GlossUnits
     from manifold.many.batch import BatchCommand
 
     from .batch_options import S
+
+
+_OF_A_COLOUR = "completed.bsdf"  # the file of a colour, which has no name
 
 
 @dataclass(frozen=True)
@@ -117,7 +121,8 @@ def complete(
     output: Annotated[
         Path | None,
         options.output_option(
-            "The file to write, or the folder. [default: the sample's name, .bsdf; or completions]"
+            "The file to write, or the folder. [default: the sample's name, .bsdf; "
+            f"{_OF_A_COLOUR} for --lab; or completions]"
         ),
     ] = None,
     into: Annotated[
@@ -135,7 +140,8 @@ def complete(
         float | None,
         typer.Option(
             help="Repeatability of the instrument, in per cent of a reading; the completion reproduces "
-            "readings to that accuracy.  [default: 0.25 for spectrophotometers, 3 for goniometers]",
+            "readings to that accuracy.  [default: {manifold.core.defaults.REPEATABILITY:.2%} "
+            "for spectrophotometers, {manifold.core.defaults.GONIOMETER:.0%} for goniometers]",
             metavar="PERCENT",
             min=0.0,
             max=100.0,
@@ -202,7 +208,7 @@ def complete(
         return
     if colour.lab is not None:
         taken, learned = readings_of_colour(colour.parsed, units, Library(library).bands), None
-        target = or_default(output, "completed.bsdf")
+        target = or_default(output, _OF_A_COLOUR)
     else:
         taken, learned = (
             instruments.read(given, sample, correction, units, unit)
@@ -259,7 +265,7 @@ def _suggest_first(results: terminal.Results, library: Path, asked: MadeOptions)
 
 
 def _complete_coat(
-    results: terminal.Results, library: Path, colour: LabOptions, units: Mapping[float, float],
+    results: terminal.Results, library: Path, colour: LabOptions, units: GlossUnits,
     output: Path | None, asked: MadeOptions,
 ) -> None:  # fmt: skip
     """Complete one colour and gloss by a coat over a diffuse base, and print the result."""
@@ -267,7 +273,7 @@ def _complete_coat(
 
     L, a, b = colour.parsed.tolist()
     one = coat.ColourSample(f"L {L:.4g}, a {a:.4g}, b {b:.4g}", (L, a, b), units)
-    target = or_default(output, "completed.bsdf")
+    target = or_default(output, _OF_A_COLOUR)
     ball = asked.ball(target)
     with progress.shown("Completing"):
         made = coat.complete(

@@ -10,6 +10,7 @@ import typer
 
 from manifold.core import progress
 from manifold.core.errors import FileFormatError, UsageError
+from manifold.registries import EXPORT_SUFFIXES, FIT_SUFFIX
 
 from . import options, terminal
 from .application import app
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from manifold.estimate.sources import MaterialSource
     from manifold.many.batch import Outcome
 
+_TARGET = "gltf"  # of an export whose file has no suffix
 Metric = Literal["appearance", "cube-root", "linear", "log"]
 
 
@@ -38,7 +40,7 @@ def fit(
     library: options.MovedLibraryOption = None,
     output: Annotated[
         Path | None,
-        options.output_option("The JSON file to write, or the folder. [default: NAME.fit.json, or fits]"),
+        options.output_option(f"The JSON file to write, or the folder. [default: NAME{FIT_SUFFIX}, or fits]"),
     ] = None,
     method: Annotated[
         str,
@@ -83,7 +85,6 @@ def fit(
     from manifold.estimate.sources import FileSource, PlaceSource
     from manifold.fit import fits
     from manifold.formats import registry
-    from manifold.formats.recognition import FIT_SUFFIX
     from manifold.render.bsdf_parameters import principled
 
     materials = options.material_sources(sources or [], model, library, colour=colour)
@@ -180,7 +181,7 @@ def export(
         Path | None,
         options.output_option(
             "The file: {manifold.registries.EXPORTS_IN_WORDS}; for many materials, a folder. "
-            "[default: the material's name, .glb, or _TARGET.json; or exports]"
+            f"[default: the material's name, {EXPORT_SUFFIXES[_TARGET]} or _TARGET.json; or exports, or shaders]"
         ),
     ] = None,
     target: Annotated[
@@ -188,7 +189,7 @@ def export(
         typer.Option(
             help="The target, if the suffix does not determine it: {manifold.registries.TARGETS}; or several, with "
             "commas between: their files go into the folder -o; or shader, a folder of a texture and code "
-            "that evaluate the BRDF itself. [default for folders: gltf]",
+            f"that evaluate the BRDF itself. [default for folders: {_TARGET}]",
             metavar="NAME",
         ),
     ] = None,
@@ -207,7 +208,7 @@ def export(
         float | None,
         typer.Option(
             help="For shaders: write the smallest table that differs from the material by at most so much "
-            "({manifold.core.judged_lights.BALL}). [default: 0.3]",
+            "({manifold.core.judged_lights.BALL}). [default: {manifold.core.defaults.SHADER_TOLERANCE}]",
             metavar="E",
         ),
     ] = None,
@@ -262,7 +263,7 @@ def export(
     from manifold.io_rgl import material_name
     from manifold.registries import TARGETS
 
-    targets = [TARGETS[name] for name in dict.fromkeys(map(str.strip, (target or "gltf").split(",")))]
+    targets = [TARGETS[name] for name in dict.fromkeys(map(str.strip, (target or _TARGET).split(",")))]
     if len(targets) > 1 and pack is not None:
         raise UsageError(f"--pack goes with one target, found {target}")
     if is_many(materials):
@@ -276,7 +277,7 @@ def export(
         return
     (material,) = materials
     _refuse_pack_of_one(pack, material)
-    name = material_name(Path(material.name.removesuffix(".fit.json")))
+    name = material_name(Path(material.name.removesuffix(FIT_SUFFIX)))
     if len(targets) > 1:
         folder = or_default(output, ".")
         require_folder(folder, "the files of several targets; name a folder", targets[0].suffix)
@@ -303,11 +304,12 @@ def _export_shader(
     results: terminal.Results, materials: Sequence[MaterialSource], output: Path | None, tolerance: float | None,
     picture: bool, pack: Path | None, prefix: str | None,
 ) -> None:  # fmt: skip
+    from manifold.core.defaults import SHADER_TOLERANCE
     from manifold.core.metrics import Errors
     from manifold.estimate.inputs import find_inputs, is_many
     from manifold.shader import exporting
 
-    tolerance = exporting.DEFAULT_TOLERANCE if tolerance is None else tolerance
+    tolerance = SHADER_TOLERANCE if tolerance is None else tolerance
     if is_many(materials):
         if prefix is not None:
             raise UsageError(
@@ -318,7 +320,7 @@ def _export_shader(
         return
     (material,) = materials
     _refuse_pack_of_one(pack, material)
-    folder = or_default(output, material.name.removesuffix(".fit.json"))
+    folder = or_default(output, material.name.removesuffix(FIT_SUFFIX))
     require_folder(folder, "the files of a shader", ".glsl")
     with progress.shown("Exporting"):
         outcome = exporting.export(material, folder, tolerance=tolerance, with_picture=picture, prefix=prefix)

@@ -14,6 +14,8 @@ from . import options, terminal
 from .application import app
 from .batch_options import PER_CORE, WorkerOptions, inputs_of, is_many, make_many
 
+_FORMAT = "rgl"  # of conversions into a folder
+
 
 @app.command(
     "convert",
@@ -41,7 +43,8 @@ def convert(
             "--format",
             "-f",
             metavar="FORMAT",
-            help="{manifold.registries.CONVERTED}, if the suffix of OUT is ambiguous. [default for folders: rgl]",
+            help="{manifold.registries.CONVERTED}, if the suffix of OUT is ambiguous. "
+            f"[default for folders: {_FORMAT}]",
         ),
     ] = None,
     sample: options.SampleOption = None,
@@ -50,8 +53,8 @@ def convert(
     resolution: Annotated[
         int | None,
         typer.Option(
-            help="For RGL files: nodes per axis of the outgoing grid; 64 by default, but an RGL file is "
-            "copied unchanged.",
+            help="For RGL files: nodes per axis of the outgoing grid. [default: "
+            "{manifold.core.defaults.CONVERTED_RESOLUTION}; an RGL file is copied unchanged]",
             metavar="N",
             min=2,
             max=512,
@@ -99,7 +102,7 @@ def convert(
         from manifold.many import commands as many
 
         command = many.conversions(
-            to or "rgl", correction=correction, options=Options(resolution, incidences)
+            to or _FORMAT, correction=correction, options=Options(resolution, incidences)
         )
         make_many(results, command, found, output, workers.executor())
         return

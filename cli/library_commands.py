@@ -26,7 +26,7 @@ ToleranceOption = Annotated[
     float | None,
     typer.Option(
         help="Largest difference of a compact material from the original: {manifold.core.judged_lights.BALL}.  "
-        "[default: 0.2]",
+        "[default: {manifold.core.defaults.COMPACT_TOLERANCE}]",
         metavar="E",
     ),
 ]
@@ -88,7 +88,7 @@ def corpus(
 def fetch(
     names: Annotated[
         list[str] | None,
-        typer.Argument(help="Names of materials; by default all 51 isotropic ones.", metavar="NAME"),
+        typer.Argument(help="Names of materials; without names, all 51 isotropic ones.", metavar="NAME"),
     ] = None,
     output: Annotated[Path, options.output_option("The folder for the files.", "FOLDER")] = Path("rgl"),
     base_url: Annotated[
@@ -171,7 +171,7 @@ def import_(
 
     Materials are added atomically; those already in the library are skipped.
     """
-    from manifold.library.identity import DEFAULT_TOLERANCE
+    from manifold.core.defaults import COMPACT_TOLERANCE
     from manifold.library.importing import import_files
 
     if tolerance is not None and not compact:
@@ -179,7 +179,7 @@ def import_(
             "--tolerance without --compact: nothing is approximated; add --compact, or leave it out"
         )
     if compact and tolerance is None:
-        tolerance = DEFAULT_TOLERANCE
+        tolerance = COMPACT_TOLERANCE
     results = terminal.Results(json)
     with progress.shown("Importing"), workers.executor() as executor:
         result = import_files(
@@ -229,17 +229,17 @@ def compact(
 
     Each compact material is compared with the original, which is then removed: keep the imported files if you need them
     bit for bit. All commands read compact libraries, and earlier models stay valid. The bound on the cube-root error
-    is proportional to the tolerance: 1 % at the default.
+    is proportional to the tolerance.
     """
+    from manifold.core.defaults import COMPACT_TOLERANCE
     from manifold.core.judged_lights import BALL
     from manifold.library.compacting import compact_library
-    from manifold.library.identity import DEFAULT_TOLERANCE
     from manifold.library.store import Library
 
     results = terminal.Results(json)
     before = Library(library).disk_bytes
     with progress.shown("Compacting"):
-        result = compact_library(library, DEFAULT_TOLERANCE if tolerance is None else tolerance)
+        result = compact_library(library, COMPACT_TOLERANCE if tolerance is None else tolerance)
     after, errors = Library(library).disk_bytes, list(result.compacted.values())
     rows: dict[str, object] = {"compacted": len(errors), "already compact": len(result.skipped)}
     if errors:

@@ -63,6 +63,9 @@ WithoutOption = Annotated[
 ]
 
 
+_PREDICTED, _RECONSTRUCTED = "predicted.bsdf", "reconstructed.bsdf"
+
+
 @app.command(
     "embed",
     epilog="Example: manifold embed --library library.zarr --model model.h5",
@@ -93,7 +96,7 @@ def embed(
         str | None,
         typer.Option(
             help="For --kind gplvm: mapping of BRDF values, {manifold.registries.MAPPINGS}; or auto. "
-            "[default: cube-root]",
+            "[default: {manifold.core.defaults.DEFAULT_MAPPING}]",
             metavar="NAME",
             show_default=False,
         ),
@@ -103,7 +106,7 @@ def embed(
         typer.Option(
             help="For --kind gplvm: optimiser of the latents, started from principal components: "
             "{manifold.registries.OPTIMIZERS}. dls: direct local search without gradients (Hikichi & Iwasaki, section "
-            "3.4); l-bfgs: quasi-Newton. [default: dls]",
+            "3.4); l-bfgs: quasi-Newton. [default: {manifold.core.defaults.DEFAULT_OPTIMIZER}]",
             metavar="NAME",
         ),
     ] = None,
@@ -118,14 +121,16 @@ def embed(
     length_scale: Annotated[
         float | None,
         typer.Option(
-            help="Length scale of the kernel, or of the weights of blends. [default: 1]",
+            help="Length scale of the kernel, or of the weights of blends. "
+            "[default: {manifold.core.defaults.DEFAULT_LENGTH_SCALE:g}]",
             metavar="L",
         ),
     ] = None,
     prior: Annotated[
         float | None,
         typer.Option(
-            help="For --kind gplvm: weight of the Gaussian prior on the latents, per output. [default: 0]",
+            help="For --kind gplvm: weight of the Gaussian prior on the latents, per output. "
+            "[default: {manifold.core.defaults.DEFAULT_PRIOR:g}]",
             metavar="WEIGHT",
             show_default=False,
         ),
@@ -133,7 +138,8 @@ def embed(
     grid: Annotated[
         str | None,
         typer.Option(
-            help="For --kind gplvm: direction pairs, {manifold.registries.NAMED_GRIDS}. [default: default]",
+            help="For --kind gplvm: direction pairs, {manifold.registries.NAMED_GRIDS}. "
+            "[default: {manifold.core.defaults.DEFAULT_GRID}]",
             metavar="NAME",
             show_default=False,
         ),
@@ -142,7 +148,7 @@ def embed(
         str | None,
         typer.Option(
             help="For --kind gplvm: kernel, {manifold.registries.KERNELS}; se is squared exponential, as published. "
-            "[default: se]",
+            "[default: {manifold.core.defaults.DEFAULT_KERNEL}]",
             metavar="NAME",
         ),
     ] = None,
@@ -150,7 +156,8 @@ def embed(
         int | None,
         typer.Option(
             help="For --kind blend: number of landmarks, materials that are laid out first; the others are placed "
-            "among them. [default: all of up to 300 materials, else 150]",
+            "among them. [default: all of up to "
+            "{manifold.core.defaults.MOST_LAID_OUT} materials, else {manifold.core.defaults.LANDMARKS}]",
             metavar="M",
             min=3,
         ),
@@ -335,7 +342,7 @@ def predict(
     output: Annotated[
         Path | None,
         options.output_option(
-            "The .bsdf file to write, or the folder. [default: predicted.bsdf, or predictions]"
+            f"The .bsdf file to write, or the folder. [default: {_PREDICTED}, or predictions]"
         ),
     ] = None,
     resolution: options.ResolutionOption = 32,
@@ -384,7 +391,7 @@ def predict(
         made = predictions.predict(
             model,
             latent if place is None else options.material_source(latent, model, library),
-            or_default(output, "predicted.bsdf"),
+            or_default(output, _PREDICTED),
             library=library,
             colour=colour.choice(),
             attributes=attributes,
@@ -476,7 +483,7 @@ def reconstruct(
     output: Annotated[
         Path | None,
         options.output_option(
-            "The file to write, or the folder. [default: reconstructed.bsdf, or reconstructions]"
+            f"The file to write, or the folder. [default: {_RECONSTRUCTED}, or reconstructions]"
         ),
     ] = None,
     physical: options.PhysicalOption = False,
@@ -503,7 +510,7 @@ def reconstruct(
         )
         make_many(results, command, several, output, workers.executor())
         return
-    source, target = sources[0], or_default(output, "reconstructed.bsdf")
+    source, target = sources[0], or_default(output, _RECONSTRUCTED)
     with progress.shown("Reading materials"):
         made = descriptions.reconstruct(
             library, source, target, without=without or (), numbers=numbers,

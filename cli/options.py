@@ -204,7 +204,8 @@ class ViewingOptions:
     illuminant: Annotated[
         str | None,
         typer.Option(
-            help="Illuminant of Lab values, such as D50 or A.  [default: that of the file, or D65]",
+            help="Illuminant of Lab values, such as D50 or A.  "
+            "[default: that of the file, or {manifold.core.defaults.ILLUMINANT}]",
             metavar="NAME",
             rich_help_panel=COLOUR,
         ),
@@ -212,7 +213,8 @@ class ViewingOptions:
     observer: Annotated[
         int | None,
         typer.Option(
-            help="Observer of Lab values in degrees: 2 (CIE 1931) or 10 (CIE 1964).  [default: that of the file, or 2]",
+            help="Observer of Lab values in degrees: 2 (CIE 1931) or 10 (CIE 1964).  "
+            "[default: that of the file, or {manifold.core.defaults.OBSERVER_DEG}]",
             metavar="DEGREES",
             rich_help_panel=COLOUR,
         ),

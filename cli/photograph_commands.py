@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from manifold.model.output_file import OutputOptions
 
 
+_AS_THE_LIGHT = "1"  # exposure of pictures as bright as light times material
+
+
 @dataclass(frozen=True)
 class PhotoOptions:
     """Options of the light and camera of pictures of a ball."""
@@ -64,7 +67,7 @@ class PhotoOptions:
             "--exposure",
             help="Exposure of the pictures relative to the light, or to a white diffuser that faces the lamp; free: "
             "unknown, equal for all pictures; each: unknown, different per picture (or lamps of unknown strength).  "
-            "[default: each for lamps without a grey card, else 1]",
+            f"[default: each for lamps without a grey card, else {_AS_THE_LIGHT}]",
             metavar="E|free|each",
             rich_help_panel=TAKEN,
         ),
@@ -171,7 +174,7 @@ class PhotoOptions:
             for text in given or ()
         ):
             raise UsageError("expected --circle X,Y,R, or --cylinder X,Y,R,H")
-        exposure = self.exposure or ("each" if self.lamp and self.grey is None else "1")
+        exposure = self.exposure or ("each" if self.lamp and self.grey is None else _AS_THE_LIGHT)
         try:
             known = None if exposure == "free" or (exposure == "each" and self.grey is None) else 1.0
             if exposure not in ("free", "each"):
@@ -305,13 +308,14 @@ def show_completed(
 
     The next command exports it, or suggests more readings if it is not to be used.
     """
+    from manifold.estimate.completions import NextStep
+
     rows = completed.summary | ({} if report is None else {"report": report})
     assert completed.path is not None
     rows["next"] = terminal.export_command(completed.path)
-    advice = str(rows.get("advice", ""))
-    if advice.startswith("do not use it: "):  # the values themselves are in doubt, see `completions.advise`
+    if completed.next_step is NextStep.CHECK_OBSERVATIONS:
         del rows["next"]
-    elif readings and advice.startswith("do not"):
+    elif readings and completed.next_step is NextStep.READ_MORE:
         command = f"manifold complete {shlex.join(map(str, readings))}"
         is_suggested = completed.suggested is not None
         rows["next"] = "measure the directions below" if is_suggested else f"{command} --suggest 3"

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     pass
 
 
+_RENDER = "render.png"
 PictureOption = Annotated[Path, options.output_option("The picture: .png, .pdf or .svg.")]
 
 
@@ -285,7 +286,7 @@ def render(
     output: Annotated[
         Path | None,
         options.output_option(
-            "Picture: .png tone-mapped, .exr linear; or the folder. [default: render.png, or renders]"
+            f"Picture: .png tone-mapped, .exr linear; or the folder. [default: {_RENDER}, or renders]"
         ),
     ] = None,
     illuminant: IlluminantOption = "D65",
@@ -333,7 +334,7 @@ def render(
         make_many(results, many.renders(settings), several, output, workers.executor())
         return
     with progress.shown("Rendering"):
-        made = renders.render(sources[0], or_default(output, "render.png"), settings, direct=direct)
+        made = renders.render(sources[0], or_default(output, _RENDER), settings, direct=direct)
     results.rows(f"Rendered {made.path}", made.rows)
     results.document(made)
 

@@ -133,7 +133,7 @@ def chart(
         typer.Option(
             "--library",
             "-L",
-            help="Library of materials; by default library.zarr, or the model's.",
+            help=f"Library of materials; by default {options.DEFAULT_LIBRARY}, or the model's.",
             metavar="FOLDER",
         ),
     ] = None,

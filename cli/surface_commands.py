@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from manifold.core import progress
+from manifold.core.defaults import SURFACE_TARGETS
 from manifold.core.errors import UsageError
 
 from . import options, terminal
@@ -52,8 +53,8 @@ def surface(
     target: Annotated[
         list[str] | None,
         typer.Option(
-            help="gltf, openpbr, standard-surface, usd or blender; may be repeated. [default: all but "
-            "standard-surface]",
+            help="gltf, openpbr, standard-surface, usd or blender; may be repeated. "
+            f"[default: {', '.join(SURFACE_TARGETS)}]",
             show_default=False,
             metavar="NAME",
         ),
@@ -77,11 +78,11 @@ def surface(
     with them. Surfaces of several samples go into one folder, with a table and a picture of all.
     """
     from manifold.estimate import inputs
-    from manifold.surface.files import TARGETS, make_surface
+    from manifold.surface.files import make_surface
     from manifold.surface.lamp_pictures import files_in, read_folder, read_workbook
 
     results = terminal.Results(json)
-    targets = target or TARGETS
+    targets = target or SURFACE_TARGETS
     if lamp is not None:
         if sample is not None:
             raise UsageError("--sample goes with a workbook; leave it out")

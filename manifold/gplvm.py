@@ -18,7 +18,13 @@ from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, Transfo
 from sklearn.utils import check_array
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from manifold.core.defaults import DEFAULT_MU
+from manifold.core.defaults import (
+    DEFAULT_KERNEL,
+    DEFAULT_LENGTH_SCALE,
+    DEFAULT_MU,
+    DEFAULT_OPTIMIZER,
+    DEFAULT_PRIOR,
+)
 from manifold.core.errors import UsageError
 from manifold.core.records import Array
 from manifold.dls import STOPPED, FunctionObjective, MoveObjective, direct_local_search
@@ -42,7 +48,7 @@ from manifold.registries import OPTIMIZERS
 FitCallback = Callable[[int, float], Any]
 
 _FIRST_STEP = 0.1  # first step of direct local search, in length scales
-_LAST_STEP = 100.0  # last step of direct local search, in length scales times the tolerance
+_SMALLEST_STEP_PER_TOL = 100.0  # its smallest step, in length scales per unit of `tol`
 
 
 class Run:
@@ -73,8 +79,8 @@ class Run:
             self.callback(self.n_iter, self.best)
 
 
-def search(run: Run, X: Array) -> Array:
-    """Minimise from X (N, Q) by direct local search (Hooke & Jeeves), without a gradient; return latents.
+def minimise_by_dls(run: Run, X: Array) -> None:
+    """Minimise from X (N, Q) by direct local search (Hooke & Jeeves), without a gradient, and report to the run.
 
     Source: Hikichi & Iwasaki, section 3.4.
     """
@@ -88,7 +94,7 @@ def search(run: Run, X: Array) -> Array:
     result = direct_local_search(
         moves,
         initial_step=_FIRST_STEP * l,
-        tolerance=_LAST_STEP * run.tol * l,
+        tolerance=_SMALLEST_STEP_PER_TOL * run.tol * l,
         maxfev=np.iinfo(np.int64).max,
         max_sweeps=run.max_iter,
         callback=run.report,
@@ -96,11 +102,10 @@ def search(run: Run, X: Array) -> Array:
     run.n_evaluations += result.nfev
     if result.status == STOPPED:
         raise StopIteration
-    return result.x.reshape(X.shape)
 
 
-def descend(run: Run, X: Array) -> tuple[Array, float]:
-    """Minimise from X (N, Q) by L-BFGS; return latents and their value."""
+def minimise_by_lbfgs(run: Run, X: Array) -> None:
+    """Minimise from X (N, Q) by L-BFGS, and report to the run."""
     objective = run.objective
 
     def flat(x: Array) -> tuple[float, Array]:
@@ -118,12 +123,12 @@ def descend(run: Run, X: Array) -> tuple[Array, float]:
     run.n_evaluations += int(result.nfev)
     if result.status == STOPPED:
         raise StopIteration
-    return result.x.reshape(X.shape), float(result.fun)
 
 
 def log_likelihood(
-    X: Array, S: Array, n_outputs: int, *, mu: float = DEFAULT_MU, length_scale: float = 1.0,
-    kernel: str | type[Kernel] = "se", output_variance: float | None = 1.0,
+    X: Array, S: Array, n_outputs: int, *, mu: float = DEFAULT_MU,
+    length_scale: float = DEFAULT_LENGTH_SCALE, kernel: str | type[Kernel] = DEFAULT_KERNEL,
+    output_variance: float | None = 1.0,
 ) -> float:  # fmt: skip
     """Return the log likelihood of latents, `log p(Y | X)`, with its constants.
 
@@ -203,10 +208,10 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         n_components: int = 2,
         *,
         mu: float = DEFAULT_MU,
-        length_scale: float = 1.0,
-        kernel: str | type[Kernel] = "se",
-        optimizer: str = "dls",
-        prior: float = 0.0,
+        length_scale: float = DEFAULT_LENGTH_SCALE,
+        kernel: str | type[Kernel] = DEFAULT_KERNEL,
+        optimizer: str = DEFAULT_OPTIMIZER,
+        prior: float = DEFAULT_PRIOR,
         output_variance: float | None = None,
         start_scale: float = 1.0,
         farthest_first: bool = True,

@@ -210,6 +210,9 @@ FORMATS: Registry[Any] = Registry(
 An entry is a module, see `manifold.formats.registry`.
 """
 
+FIT_SUFFIX = ".fit.json"
+"""How names of files of fits end."""
+
 EXPORT_SUFFIXES = {
     "gltf": ".glb",
     "openpbr": ".mtlx",
@@ -261,10 +264,10 @@ CONVERTED: Registry[Any] = Registry(
 
 OPTIMIZERS: Registry[Any] = Registry(
     "optimizer",
-    places={"dls": "manifold.gplvm:search", "l-bfgs": "manifold.gplvm:descend"},
+    places={"dls": "manifold.gplvm:minimise_by_dls", "l-bfgs": "manifold.gplvm:minimise_by_lbfgs"},
     group="brdf_manifold.methods",
 )
-"""Methods by which `manifold embed` finds latents: functions of a `gplvm.Run` and the start."""
+"""Methods by which `manifold embed` finds latents: functions of a `gplvm.Run`, to which they report, and the start."""
 
 MAPPINGS: Registry[Any] = Registry(
     "mapping",

@@ -67,19 +67,23 @@ def cells_of(
 
 
 # Least cosine of outgoing directions: cells nearer to the horizon may well be dark.
-_LEAST_COSINE = np.sin(np.deg2rad(2.0))
-_STEEPEST = np.deg2rad(85.0)  # angles of incidence beyond it are extrapolated, not measured
+LEAST_COSINE = float(np.sin(np.deg2rad(2.0)))
+"""Least cosine with the normal at which files hold measured values."""
+
+STEEPEST = float(np.deg2rad(85.0))
+"""Angle of incidence in radians beyond which files extrapolate."""
+
 _NEIGHBOURS = np.array([[1.0, 2.0, 1.0], [2.0, 0.0, 2.0], [1.0, 2.0, 1.0]])
 
 
 def unmeasured_cells(file: BsdfFile) -> Mask:
     """Return a mask of cells above the horizon that are zero in all bands or not measured, shape (P, T, H, W)."""
     unmeasured: Mask = np.all(file.spectra == 0, axis=2) | np.logical_not(file.measured_mask)
-    suspects = np.any(unmeasured, axis=(2, 3)) & (file.theta_i_rad < _STEEPEST)[None, :]
+    suspects = np.any(unmeasured, axis=(2, 3)) & (file.theta_i_rad < STEEPEST)[None, :]
     if not np.any(suspects):
         return np.zeros_like(unmeasured)
     for p, t, cells in cells_of(file, np.argwhere(suspects)):
-        unmeasured[p, t] &= cells.is_above & (cells.wo[..., 2] > _LEAST_COSINE)
+        unmeasured[p, t] &= cells.is_above & (cells.wo[..., 2] > LEAST_COSINE)
     unmeasured[~suspects] = False
     return unmeasured
 
@@ -88,7 +92,7 @@ def find_rim(file: BsdfFile) -> Mask:
     """Return a mask of cells above the horizon that are too close to it to be measured, bool, shape (P, T, H, W)."""
     rim = np.zeros_like(file.measured_mask)
     for p, t, cells in cells_of(file):
-        rim[p, t] = cells.is_above & (cells.wo[..., 2] <= _LEAST_COSINE)
+        rim[p, t] = cells.is_above & (cells.wo[..., 2] <= LEAST_COSINE)
     return rim
 
 

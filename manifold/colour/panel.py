@@ -28,6 +28,9 @@ FITTED = (
 )  # fmt: skip
 """The lights of fits: the studio turned by some degrees, suns some degrees beside the view, an overcast sky."""
 
+SUN_DEG = 45.0
+"""Angle between the view and the sun under which highlights are looked at."""
+
 _SUN_PIXELS = 32  # across the ball
 
 

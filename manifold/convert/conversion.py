@@ -13,9 +13,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.unmeasured_cells import LEAST_COSINE
 from manifold.colour.correction import read_correction
 from manifold.convert.source import (
-    LEAST_COSINE,
     ConversionSource,
     in_luminance,
     open_source,
@@ -24,6 +24,7 @@ from manifold.convert.source import (
 )
 from manifold.convert.targets import Options, target_of
 from manifold.core import disk
+from manifold.core.directions import NEAR_MIRROR_DEG, is_near_mirror
 from manifold.core.errors import UsageError
 from manifold.core.metrics import Errors
 from manifold.core.names import percent
@@ -43,7 +44,6 @@ from manifold.registries import CONVERTED
 _SAME_PAIR = 1e-6  # largest difference between unit vectors that were written with nine digits
 _DARK = 1e-3  # share of the brightest value, with which darker ones are compared
 _LARGE_ERROR = 0.05  # of cube roots; above, its reasons are noted
-_NEAR_MIRROR_DEG = 10.0
 _SHOWN_SHARE = 0.2  # of the squared error
 _FEW = 20  # readings per incidence, of spectrophotometers rather than of goniometers
 
@@ -205,9 +205,8 @@ def _reasons(compared: Readings, f_star: Array) -> list[str]:
     """Return a note on the parts of a large cube-root error: negative values, and those near mirror directions."""
     f, weight = compared.values, cosine_weight(compared.wi, compared.wo)[:, None]
     squares = (np.cbrt(weight * f_star) - np.cbrt(weight * f)) ** 2
-    mirror = np.einsum("pi,pi->p", compared.wi * [-1.0, -1.0, 1.0], compared.wo)
     is_negative = (f < 0.0) & (f_star >= 0.0)
-    is_near = mirror > np.cos(np.deg2rad(_NEAR_MIRROR_DEG))
+    is_near = is_near_mirror(compared.wi, compared.wo)
     total = max(float(squares.sum()), np.finfo(float).tiny)
     negative = float(squares[is_negative].sum()) / total
     near = float(np.where(is_negative, 0.0, squares)[is_near].sum()) / total
@@ -217,7 +216,7 @@ def _reasons(compared: Readings, f_star: Array) -> list[str]:
             (negative, "comes from negative values (colours outside sRGB, noise), which are stored as 0"),
             (
                 near,
-                f"lies within {_NEAR_MIRROR_DEG:g} degrees of mirror directions, where the nodes miss the highlight",
+                f"lies within {NEAR_MIRROR_DEG:g} degrees of mirror directions, where the nodes miss the highlight",
             ),
         )
         if share > _SHOWN_SHARE

@@ -10,7 +10,7 @@ import numpy as np
 
 from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.unmeasured_cells import cells_of, fill_unmeasured
+from manifold.brdf.unmeasured_cells import LEAST_COSINE, cells_of, fill_unmeasured
 from manifold.brdf.wrapper import WrappedBRDF
 from manifold.colour.conversion import file_to_srgb, luminance, to_srgb
 from manifold.colour.correction import ColourCorrection
@@ -31,8 +31,6 @@ from manifold.model.prediction import ClippedBRDF
 MOST_NODES = 100_000
 """Nodes at which the error of a conversion is measured; an even choice where a file has more."""
 _LUMINANCE = Bands((550.0,))
-LEAST_COSINE = float(np.sin(np.deg2rad(2.0)))
-"""The least cosine of both directions, since f = f_cos / cos of RGL files is undefined nearer to the horizon."""
 
 
 @dataclass(frozen=True, eq=False)

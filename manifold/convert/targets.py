@@ -10,7 +10,9 @@ import numpy as np
 
 from manifold import __version__
 from manifold.brdf import goniometer
-from manifold.convert.source import LEAST_COSINE, ConversionSource
+from manifold.brdf.unmeasured_cells import LEAST_COSINE, STEEPEST
+from manifold.convert.source import ConversionSource
+from manifold.core.defaults import CONVERTED_RESOLUTION
 from manifold.core.directions import from_spherical, rotate_z
 from manifold.core.errors import UsageError
 from manifold.core.names import percent
@@ -38,7 +40,6 @@ _BLOCK = 65536  # pairs evaluated at once
 _TURNS = 8  # rotations of an anisotropic sample that an isotropic format averages over
 _MOST_INCIDENCES = 40
 _MEASURED_WITHIN = np.deg2rad(0.5)  # angle from a measured incidence: half a step of MERL's
-_STEEPEST = np.deg2rad(85.0)
 _FINE, _MEDIUM, _COARSE = (1.0, 5.0), (2.0, 10.0), (5.0, 15.0)  # degrees of elevation and azimuth
 _AZIMUTHS = np.deg2rad(np.arange(0.0, 360.0, 30.0))  # of incidence on an anisotropic sample
 _USUAL_INCIDENCES = np.deg2rad([0, 10, 20, 30, 40, 50, 60, 70, 80, 85])
@@ -80,7 +81,7 @@ class Options(NamedTuple):
     """The grid of a written RGL file; without options, an RGL file is copied byte for byte.
 
     Attributes:
-        resolution: nodes per axis of its outgoing grid, by default 64.
+        resolution: nodes per axis of its outgoing grid; None is `CONVERTED_RESOLUTION`.
         n_theta_i: number of angles of incidence in addition to those of the file; by default 16, or 48 if the file
             has none.
     """
@@ -103,7 +104,7 @@ def _write_rgl(path: Path, source: ConversionSource, options: Options) -> list[s
     theta_i: Array = np.unique(np.concatenate([own, others, spread[[0, -1]]]))
     file = goniometer.measure(
         brdf, source.nodes.name, description=f"Converted from {source.nodes.instrument} by manifold {__version__}",
-        resolution=options.resolution or 64, theta_i_rad=theta_i, compensate=False,
+        resolution=options.resolution or CONVERTED_RESOLUTION, theta_i_rad=theta_i, compensate=False,
         bend=goniometer.SOFT_BEND,
     )  # fmt: skip
     write_bsdf(path, file)
@@ -313,7 +314,7 @@ def _sampled(source: ConversionSource, axes: tuple[Array, Array, Array, Array]) 
 
 def _incidences(source: ConversionSource) -> Array:
     """Return the file's own elevations of incidence, or usual ones if it has none or very many."""
-    own = source.theta_i_rad[source.theta_i_rad <= _STEEPEST]
+    own = source.theta_i_rad[source.theta_i_rad <= STEEPEST]
     return own if 2 <= own.size <= _MOST_INCIDENCES else _USUAL_INCIDENCES
 
 

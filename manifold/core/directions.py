@@ -7,7 +7,10 @@ from functools import lru_cache
 import numpy as np
 
 from manifold.core.errors import ShapeError
-from manifold.core.records import Array
+from manifold.core.records import Array, Mask
+
+NEAR_MIRROR_DEG = 10.0
+"""Angle around a mirror direction within which errors count as those of the highlight."""
 
 HORIZON = np.deg2rad(89.9)
 """Elevation in radians at which the limit at the horizon is evaluated."""
@@ -128,6 +131,16 @@ def angles_from_mirror(wi: Array, wo: Array) -> Array:
     theta = [np.degrees(np.arccos(np.clip(w[:, 2], -1.0, 1.0))) for w in (wi, wo)]
     phi = [np.degrees(np.arctan2(w[:, 1], w[:, 0])) for w in (wi, wo)]
     return np.column_stack([*theta, np.abs((phi[1] - phi[0]) % 360.0 - 180.0)])
+
+
+def cos_from_mirror(wi: Array, wo: Array) -> Array:
+    """Return the cosine of the angle between wo and the mirror direction of wi, (P, 3) each, shape (P,)."""
+    return np.einsum("pi,pi->p", wi * [-1.0, -1.0, 1.0], wo)
+
+
+def is_near_mirror(wi: Array, wo: Array) -> Mask:
+    """Return a mask (P,) of the direction pairs within `NEAR_MIRROR_DEG` of the mirror direction."""
+    return np.asarray(cos_from_mirror(wi, wo) > np.cos(np.deg2rad(NEAR_MIRROR_DEG)))
 
 
 def _rotate_y(w: Array, angle: Array) -> Array:

@@ -8,6 +8,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from manifold.core.directions import NEAR_MIRROR_DEG
 from manifold.core.errors import ShapeError
 from manifold.core.judged_lights import BALL, BALL_COLUMN, LIGHTS, light_in_words
 from manifold.core.names import percent
@@ -38,7 +39,7 @@ class Errors(Generic[Number]):
         fitted_ball: CIEDE2000 of the ball, mean over the lights that fits see.
         rmse: eq. 22 of Hikichi & Iwasaki, in 1/sr; bands are summed.
         rmse_80: the same of directions within 80 degrees, weighted by both cosines.
-        near_mirror: cube-root error of directions within 10 degrees of the mirror direction.
+        near_mirror: cube-root error of directions within `NEAR_MIRROR_DEG` of the mirror direction.
         elsewhere: cube-root error of all other directions.
         scaled_ball: `ball` of f* times the factor that fits best, that is, after matching the brightness.
         lights: CIEDE2000 of the ball by light.
@@ -162,7 +163,7 @@ class Errors(Generic[Number]):
     def words(self) -> list[str]:
         """Return the errors of one BRDF in words, for a terminal."""
         parts = {
-            "near_mirror": f"{percent(self.near_mirror)} within 10 degrees of the mirror direction",
+            "near_mirror": f"{percent(self.near_mirror)} within {NEAR_MIRROR_DEG:g} degrees of the mirror direction",
             "elsewhere": f"{percent(self.elsewhere)} elsewhere",
         }
         of_parts = ", ".join(words for name, words in parts.items() if name in self.known)

@@ -24,23 +24,23 @@ from manifold.estimate.residual import coordinates
 from manifold.gp.encoding import encoding_pairs
 from manifold.library.store import Library
 from manifold.model.combination import Combination, Dictionary
-from manifold.model.decoding import roots_at
+from manifold.model.decoding import OF_BALL, roots_at
+from manifold.model.diagnostics import SHOWN_WEIGHT
 from manifold.model.materials import MaterialCache
 from manifold.model.prediction import PredictedBRDF
 from manifold.model.reconstruction import DICTIONARY
+from manifold.model.settings import SAMPLE_BANDS
 
 MOST_MATERIALS = 1000
 """The largest library whose materials are all left out once, each estimated from all others."""
 
-ATOM_BANDS = 5  # bands of a spectral material that are atoms; more gain nothing
 COAT_ALPHAS = tuple(np.geomspace(0.015, 0.26, 10).tolist())  # duller ones replace measured matt materials
 COAT_INDICES = (1.42, 1.58)
 _COAT_BASE = 0.9  # largest reflectance of what is below a coat
 _LEAST_COAT = 0.05  # mean prior weight from which a coat is fitted to the readings
 LAMBERTIAN = Dictionary(lobes=Lobes((), ()))
 """The only analytic lobe among atoms of cube roots."""
-_MOST_SHOWN, _LEAST_SHOWN = 6, 0.005  # materials of a mixture, and share of all of one
-_BALL_STRIDE = 7  # one in this many of a ball's direction pairs is used
+_MOST_SHOWN = 6  # materials of a mixture
 
 
 @cache
@@ -60,7 +60,7 @@ def grid_coordinates() -> Array:
 def shown_shares(names: Sequence[str], weights: Array) -> tuple[tuple[str, float], ...]:
     """Return the materials of a mixture that are shown, with their weights (N,), largest first; none means black."""
     order = np.argsort(-weights, kind="stable")[:_MOST_SHOWN]
-    shown = tuple((names[m], float(weights[m])) for m in order if weights[m] > _LEAST_SHOWN * weights.sum())
+    shown = tuple((names[m], float(weights[m])) for m in order if weights[m] > SHOWN_WEIGHT * weights.sum())
     return shown or (("black", 1.0),)
 
 
@@ -121,22 +121,21 @@ class LibraryAtoms:
                 f"{library.path}: {len(names)} materials, expected at most {MOST_MATERIALS} to complete readings from; "
                 "import those that are like the sample into a library of their own"
             )
-        chosen = evenly_spaced(bands.count, ATOM_BANDS)
+        chosen = evenly_spaced(bands.count, SAMPLE_BANDS)
         cache = MaterialCache(library, names, is_nonnegative=True)
         coats = dielectric_coats(bands.select(chosen))
         materials: list[BRDF] = [*cache.in_bands(chosen.tolist()), *coats.values()]
         grid, lights = encoding_pairs(all_isotropic(materials)), panel.judged()
         on_grid, on_ball = (_roots_at(materials, pairs) for pairs in (grid, lights))
         ball = ball_colours.ball()  # in the studio, whose pairs are the first
-        some = slice(None, len(ball), _BALL_STRIDE)
-        of_grid, of_ball = grid.cosines ** (2.0 / 3.0), ball.light[::_BALL_STRIDE] ** (2.0 / 3.0)
+        some = on_ball[:, : len(ball)][:, OF_BALL]
+        of_grid, of_ball = grid.cosines ** (2.0 / 3.0), ball.light[OF_BALL] ** (2.0 / 3.0)
         energy = [
-            float(np.sum(roots**2 @ weights))
-            for roots, weights in ((on_grid, of_grid), (on_ball[:, some], of_ball))
+            float(np.sum(roots**2 @ weights)) for roots, weights in ((on_grid, of_grid), (some, of_ball))
         ]
         of_ball = of_ball * energy[0] / max(energy[1], np.finfo(float).tiny)
         return cls(
-            names, tuple(coats), bands, chosen, materials, np.hstack([on_grid, on_ball[:, some]]),
+            names, tuple(coats), bands, chosen, materials, np.hstack([on_grid, some]),
             np.concatenate([of_grid, of_ball]), grid, on_ball,
         )  # fmt: skip
 
@@ -268,7 +267,7 @@ class LibraryAtoms:
         lights = panel.judged()
         return lights.of(self._from_roots(self.ball, lights).T).T
 
-    def gloss(self, angles_deg: Sequence[float]) -> Array:
+    def at_gloss_meters(self, angles_deg: Sequence[float]) -> Array:
         """Return means of atoms over the apertures of gloss meters at G angles, shape (n, G).
 
         They are cube roots, or f in 1/sr.

@@ -11,7 +11,6 @@ import re
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -33,7 +32,7 @@ from manifold.core.judged_lights import LIGHTS
 from manifold.core.pairs import Pairs
 from manifold.core.records import Array, Bands, plain
 from manifold.estimate.gloss import gloss_units, half_gloss_meter
-from manifold.formats.readings import DAYLIGHT, GLOSS_ANGLES_DEG, Readings, gloss_fault
+from manifold.formats.readings import DAYLIGHT, GLOSS_ANGLES_DEG, NO_GLOSS, GlossUnits, Readings, gloss_fault
 from manifold.library.store import Library
 from manifold.model.blend_space import require_blends
 from manifold.model.colours import NEAREST, ColourChoice
@@ -344,12 +343,12 @@ def _colours_at(model: Manifold, place: Place, factor: Array) -> Array:
     return require_blends(model.space).colours_of(place.latent, factor, decoder, np.array([np.pi]))[0]
 
 
-def readings_of_colour(lab: Array, gloss: Mapping[float, float], bands: Bands) -> Readings:
+def readings_of_colour(lab: Array, gloss: GlossUnits, bands: Bands) -> Readings:
     """Return a colour (3,), CIELAB under D65 at 45/0, and gloss units by angle, as readings of a material.
 
     The spectrum is the smoothest of that colour, as colours have no other.
     """
-    values = tinted(np.full(bands.count, _GREY), lab, bands)[None] / np.pi
+    values = factor_of_colour(lab, bands)[None] / np.pi
     name = "L {:.4g}, a {:.4g}, b {:.4g}".format(*lab)
     wavelengths = None if bands.is_rgb else np.asarray(bands.wavelengths_nm)
     wi, wo = COLOUR_GEOMETRY
@@ -359,6 +358,11 @@ def readings_of_colour(lab: Array, gloss: Mapping[float, float], bands: Bands) -
 def lab_of(brdf: EvaluableBRDF) -> Array:
     """Return the CIELAB (3,) of a BRDF under D65, lit at 45 degrees and seen along the normal."""
     return lab_of_factor(factor_of(brdf), brdf.bands)
+
+
+def factor_of_colour(lab: Array, bands: Bands) -> Array:
+    """Return the smoothest reflectance factor (B,) of a colour (3,), near that of a grey."""
+    return tinted(np.full(bands.count, _GREY), np.asarray(lab, float), bands)
 
 
 def tinted(factor: Array, lab: Array, bands: Bands) -> Array:
@@ -411,7 +415,7 @@ class Found:
 
     name: str
     lab: Array
-    gloss: Mapping[float, float]
+    gloss: GlossUnits
     ciede2000: float | None
     light: str | None
     distance: float
@@ -426,7 +430,7 @@ def find(
     material: BRDF | Readings | None = None,
     *,
     lab: ArrayLike | None = None,
-    gloss: Mapping[float, float] = MappingProxyType({}),
+    gloss: GlossUnits = NO_GLOSS,
 ) -> list[Found]:
     """Return a library's materials, ordered by their resemblance to another, or to a colour and gloss.
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -40,20 +40,20 @@ from manifold.estimate.attributes import (
     GLOSS_TOLERANCE,
     LEAST_GLOSS,
     factor_of,
+    factor_of_colour,
     lab_of,
     lab_of_factor,
     readings_of_colour,
-    tinted,
 )
 from manifold.estimate.completion import Completion
-from manifold.estimate.completions import atoms_of, colour_under_d65, draw_ball
+from manifold.estimate.completions import NextStep, atoms_of, colour_under_d65, draw_ball
 from manifold.estimate.expected import CALIBRATION_VERSION, Calibration, cached, errors_of, typical
 from manifold.estimate.gloss import gloss_meter, gloss_units
 from manifold.estimate.inputs import safe_name
 from manifold.estimate.suggestions import Suggested, directions_left, suggest
 from manifold.formats import column_heads
 from manifold.formats.column_heads import gloss_angle
-from manifold.formats.readings import DAYLIGHT, Viewing, gloss_fault
+from manifold.formats.readings import DAYLIGHT, GLOSS_ANGLES_DEG, GlossUnits, Viewing, gloss_fault
 from manifold.formats.text import CORRECT_CELL, data_lines, decode, list_rows, number, with_whole_name
 from manifold.library.store import Library
 from manifold.model.decoding import integrating_sphere
@@ -64,7 +64,7 @@ _INDEX_SPREAD = 0.3  # its standard deviation, which lets gloss of several angle
 _INDICES, _ALPHAS = (1.05, 1.8), (0.01, 1.0)
 _STARTS = (0.015, 0.03, 0.06, 0.12, 0.24, 0.5)  # roughness alpha at the start
 _EVALUATIONS = 15
-_ROUNDING, COLOUR_ROUNDING = 0.02, 1.0  # largest differences of log gloss, and in CIELAB
+_ROUNDING = 0.02  # difference of log gloss that weighs as much as `COLOUR_TOLERANCE` in CIELAB
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class ColourSample:
 
     name: str
     lab: tuple[float, float, float]
-    gloss: Mapping[float, float]
+    gloss: GlossUnits
 
     def made_of(self) -> dict[str, Any]:
         """Return all that the content depends on, as plain values."""
@@ -118,7 +118,7 @@ class Coated(Result):
             f"CIEDE2000 {result.ciede2000:.1f} from the requested one",
         )
     )  # fmt: skip
-    gloss: Mapping[float, float] = field(
+    gloss: GlossUnits = field(
         metadata=entry(
             row="gloss",
             words=lambda result: [
@@ -151,6 +151,11 @@ class Coated(Result):
     seconds: float = field(metadata=entry())
 
     @property
+    def next_step(self) -> NextStep:
+        """What to do next: a coat has no readings that could be in doubt."""
+        return NextStep.EXPORT
+
+    @property
     def missed_in_words(self) -> list[str]:
         """The colour and the gloss values that were not reached, in words; expected errors do not cover the gloss."""
         off = [f"the colour, by CIEDE2000 {self.ciede2000:.1f} (D65)"] * (self.ciede2000 > COLOUR_TOLERANCE)
@@ -167,23 +172,23 @@ class Coated(Result):
         return float(delta_e_2000_lab(np.array(self.sample.lab), self.lab))
 
 
-def coat_of(lab: Array, gloss: Mapping[float, float], bands: Bands) -> tuple[Plastic, float]:
+def coat_of(lab: Array, gloss: GlossUnits, bands: Bands) -> tuple[Plastic, float]:
     """Return the coat over a Lambertian nearest to a colour and gloss units by angle, and its alpha.
 
     The colour is CIELAB at 45/0 under D65, (3,).
 
     Its index stays near 1.5 unless the gloss asks for another.
     """
-    target = tinted(np.full(bands.count, 0.2), np.asarray(lab, float), bands)
+    target = factor_of_colour(lab, bands)
 
     def off(coat: Plastic) -> Array:
         reached = np.array(list(gloss_units(coat, gloss).values()))
-        return np.append(gloss_misfits(reached, gloss), (lab_of(coat) - lab) / COLOUR_ROUNDING)
+        return np.append(gloss_misfits(reached, gloss), (lab_of(coat) - lab) / COLOUR_TOLERANCE)
 
     return nearest_coat(lambda surface: target - surface, bands, off)
 
 
-def gloss_misfits(units: Array, wanted: Mapping[float, float]) -> Array:
+def gloss_misfits(units: Array, wanted: GlossUnits) -> Array:
     """Return differences of logarithms from the wanted gloss units (G,), divided by the tolerance."""
     logs = [np.log(np.maximum(some, LEAST_GLOSS)) for some in (units, list(wanted.values()))]
     return np.asarray((logs[0] - logs[1]) / _ROUNDING)
@@ -256,7 +261,7 @@ def complete(
         stages.begin("rendering")
         draw_ball(output, picture)
     brdf = coat if written.file is None else MeasuredBRDF(written.file)
-    lab, gloss = lab_of(brdf), gloss_units(brdf)
+    lab, gloss = lab_of(brdf), gloss_units(brdf, GLOSS_ANGLES_DEG)
     off = float(delta_e_2000_lab(np.array(sample.lab), lab))
     if off > COLOUR_TOLERANCE:
         expected = expected.beside(Errors(ball=off))
@@ -269,7 +274,7 @@ def complete(
     )  # fmt: skip
 
 
-def missed_gloss(sample: ColourSample, gloss: Mapping[float, float]) -> dict[float, float]:
+def missed_gloss(sample: ColourSample, gloss: GlossUnits) -> dict[float, float]:
     """Return the requested gloss units that were not reached, by angle in degrees."""
     return {
         angle: asked
@@ -278,7 +283,7 @@ def missed_gloss(sample: ColourSample, gloss: Mapping[float, float]) -> dict[flo
     }
 
 
-def _missed(sample: ColourSample, lab: Array, gloss: Mapping[float, float]) -> list[str]:
+def _missed(sample: ColourSample, lab: Array, gloss: GlossUnits) -> list[str]:
     """Return sentences on the values that were not reached."""
     missed = missed_gloss(sample, gloss)
     is_more = [gloss[angle] > asked for angle, asked in missed.items()]
@@ -328,9 +333,7 @@ def _calibrated(atoms: LibraryAtoms, angles_deg: tuple[float, ...]) -> Calibrati
 _EXPECTED = "expected name, L, a, b, such as red,50,60,40, or a header that names the columns"
 
 
-def read_colours(
-    path: Path, gloss: Mapping[float, float], viewing: Viewing | None = None
-) -> list[ColourSample]:
+def read_colours(path: Path, gloss: GlossUnits, viewing: Viewing | None = None) -> list[ColourSample]:
     """Read the colours of a text or CSV file, of which a line is `[name] L a b`.
 
     A header may order the columns (`name`, `L`, `a`, `b`) and name their light and observer (`L* (D50/2)`); a comment
@@ -447,13 +450,13 @@ def _highlight(
     return rest + ratio * (new_surface - surface), share
 
 
-def with_gloss(brdf: BRDF, gloss: Mapping[float, float]) -> RecoatedBRDF:
+def with_gloss(brdf: BRDF, gloss: GlossUnits) -> RecoatedBRDF:
     """Return a material with a coat of other gloss units above 0 by angle in degrees, and its old colour at 45/0.
 
     The present coat is the one over a Lambertian that has the material's gloss at 20, 60 and 85 degrees.
     """
     bands, meters = brdf.bands, [gloss_meter(angle) for angle in gloss]
-    old, _ = coat_of(lab_of(brdf), gloss_units(brdf), bands)
+    old, _ = coat_of(lab_of(brdf), gloss_units(brdf, GLOSS_ANGLES_DEG), bands)
     values = [(np.maximum(values_at(brdf, m), 0.0), _parts(old, m.wi, m.wo)) for m in meters]
     highlights = [
         m.of(np.maximum(f - base, 0.0))[0] / m.of(surface)[0]
@@ -468,7 +471,7 @@ def with_gloss(brdf: BRDF, gloss: Mapping[float, float]) -> RecoatedBRDF:
             for m, (f, parts) in zip(meters, values, strict=True)
         ]
         seen = lab_of_factor(exchanged(factor, of_old, _factors(new), strength), bands)
-        return np.append(gloss_misfits(np.array(made), gloss), (seen - colour) / COLOUR_ROUNDING)
+        return np.append(gloss_misfits(np.array(made), gloss), (seen - colour) / COLOUR_TOLERANCE)
 
     def below(surface: Array) -> Array:
         """Keep the colour: replace the light that the new surface's highlight lacks."""
@@ -486,7 +489,7 @@ def with_factor(brdf: BRDF, factor: Array, meter: Picture) -> RecoatedBRDF:
     coat, as a metal's does, which has the metal's colour.
     """
     bands = brdf.bands
-    old, _ = coat_of(lab_of(brdf), gloss_units(brdf), bands)
+    old, _ = coat_of(lab_of(brdf), gloss_units(brdf, GLOSS_ANGLES_DEG), bands)
     sphere = integrating_sphere()
     (f, of_old), (inside, (_, base)) = (
         (np.maximum(values_at(brdf, m), 0.0), _parts(old, m.wi, m.wo)) for m in (meter, sphere)

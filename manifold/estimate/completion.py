@@ -12,7 +12,7 @@ from manifold.brdf.interface import BRDF
 from manifold.colour import panel
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000_lab, lab_values
-from manifold.core.directions import angles_from_mirror
+from manifold.core.directions import angles_from_mirror, cos_from_mirror
 from manifold.core.metrics import Errors
 from manifold.core.records import Array, Bands, Mask
 from manifold.estimate.atoms import LibraryAtoms, ball_coordinates, grid_coordinates, shown_shares
@@ -34,7 +34,7 @@ from manifold.estimate.solving import (
     solve,
     solve_pictures,
 )
-from manifold.formats.readings import DAYLIGHT, Assumption, Readings, Viewing
+from manifold.formats.readings import DAYLIGHT, GLOSS_ANGLES_DEG, Assumption, Readings, Viewing
 
 _SHOWN_ALTERNATIVES = 5
 _NEAR_MIRROR_DEG = 5.0  # from a mirror direction, where readings measure all but the sharpest highlights
@@ -213,7 +213,7 @@ class Completion:
     @cached_property
     def gloss(self) -> dict[float, float]:
         """Gloss units of the completion, by angle in degrees."""
-        return gloss_units(self.written or self.brdf)
+        return gloss_units(self.written or self.brdf, GLOSS_ANGLES_DEG)
 
     @cached_property
     def misfits(self) -> Array:
@@ -521,7 +521,7 @@ class Completion:
                 f"extrapolated below {reach[0]:g} nm and above {reach[1]:g} nm with the weights at these bands"
             )
         wi, wo = self.readings.wi, self.readings.wo
-        from_mirror = np.rad2deg(np.arccos(np.clip(np.sum(wi * wo * [-1.0, -1.0, 1.0], axis=1), -1.0, 1.0)))
+        from_mirror = np.rad2deg(np.arccos(np.clip(cos_from_mirror(wi, wo), -1.0, 1.0)))
         if from_mirror.min() > _NEAR_MIRROR_DEG and not self.evidence.gloss:
             notes.append(
                 f"the nearest reading is {from_mirror.min():.0f} degrees from a mirror direction: highlights are "

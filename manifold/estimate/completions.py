@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from enum import Enum, auto
 from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -37,7 +37,16 @@ from manifold.estimate.picture_colours import with_picture_colours
 from manifold.estimate.sightings import PhotoRequest, SeenBall, see
 from manifold.estimate.solving import CONTRADICTION, Seen
 from manifold.estimate.suggestions import Suggested, directions_left, suggest
-from manifold.formats.readings import Assumption, Between, Readings, Viewing, assumptions_first, gloss_fault
+from manifold.formats.readings import (
+    NO_GLOSS,
+    Assumption,
+    Between,
+    GlossUnits,
+    Readings,
+    Viewing,
+    assumptions_first,
+    gloss_fault,
+)
 from manifold.formats.text import number
 from manifold.library.store import Library
 from manifold.model import diagnostics
@@ -50,6 +59,21 @@ if TYPE_CHECKING:
 _ODD = 2.0  # least ratio of the error of a picture that contradicts the others to the median one
 _PROFILE_INCIDENCES_DEG = (20.0, 40.0, 60.0)
 _PROFILE_ELEVATIONS_DEG = np.arange(-80.0, 81.0, 5.0)
+
+
+class NextStep(Enum):
+    """What to do next with a completed material: export it, read more, or check observations that are in doubt."""
+
+    EXPORT = auto()
+    READ_MORE = auto()
+    CHECK_OBSERVATIONS = auto()
+
+
+class Advice(NamedTuple):
+    """What to do with a completed material, as data and in words; no words if its errors are not known."""
+
+    step: NextStep
+    words: str | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,6 +127,15 @@ class Completed(Result):
     @derived(row="advice")
     def advice(self) -> str | None:
         """Whether to use it, by its expected errors, and what to read first otherwise; None without them."""
+        return self._advised.words
+
+    @property
+    def next_step(self) -> NextStep:
+        """What `advice` says to do next."""
+        return self._advised.step
+
+    @property
+    def _advised(self) -> Advice:
         return advise(self.expected, self.next_readings, fault=self.fault, unit=_unit(self._readings))
 
     @property
@@ -395,7 +428,7 @@ def observe(
     library: Library,
     stages: Stages,
     readings: Readings | None = None,
-    gloss: Mapping[float, float] = MappingProxyType({}),
+    gloss: GlossUnits = NO_GLOSS,
     pictures: PhotoRequest | None = None,
 ) -> tuple[Completion, Calibration, tuple[SeenBall, ...]]:
     """Complete the readings, gloss and pictures of a material with a library as prior.
@@ -457,7 +490,7 @@ def complete(
     output: Path,
     *,
     pictures: PhotoRequest | None = None,
-    gloss: Mapping[float, float] = MappingProxyType({}),
+    gloss: GlossUnits = NO_GLOSS,
     sample: str | None = None,
     correction: ColourCorrection | None = None,
     picture: Path | None = None,
@@ -550,18 +583,19 @@ def advise(
     *,
     fault: str | None = None,
     unit: str | None = None,
-) -> str | None:
+) -> Advice:
     """Return whether to use a completion of some expected errors, and the first of the next readings to take.
 
     It is not to be used if there is a fault, and only if the values are in a unit, where one was assumed.
     """
     if "scaled_ball" in expected.known:
-        return (
+        return Advice(
+            NextStep.READ_MORE,
             "do not use its brightness, which is a guess: picture a white or grey card (--grey), or read the material "
-            "once (--lab, or --readings at 45/0)"
+            "once (--lab, or --readings at 45/0)",
         )
     if fault is not None:
-        return f"do not use it: {fault}"
+        return Advice(NextStep.CHECK_OBSERVATIONS, f"do not use it: {fault}")
     where = unreliable(expected)
     if where is None:
         use = (
@@ -569,7 +603,7 @@ def advise(
             if unit is None
             else f"use it if the values are {unit}, which the file does not say (--unit)"
         )
-        return use if "elsewhere" in expected.known else None
+        return Advice(NextStep.EXPORT, use if "elsewhere" in expected.known else None)
     if where == "highlights":
         advice = (
             f"do not use it for highlights: {percent(expected.near_mirror)} expected cube-root error there"
@@ -577,9 +611,10 @@ def advise(
     else:
         advice = f"do not use it: {percent(expected.elsewhere)} expected cube-root error beside highlights"
     if next_readings is None:
-        return advice
+        return Advice(NextStep.READ_MORE, advice)
     theta_i, theta_o, phi = next_readings.angles_deg[0]
-    return f"{advice}; read first: incidence {theta_i:.0f}, outgoing {theta_o:.0f}, azimuth {phi:.0f} degrees"
+    first = f"read first: incidence {theta_i:.0f}, outgoing {theta_o:.0f}, azimuth {phi:.0f} degrees"
+    return Advice(NextStep.READ_MORE, f"{advice}; {first}")
 
 
 def odd_pictures(names: Sequence[str], predicted: Sequence[float]) -> list[str]:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.gloss import value_of_unit
 from manifold.estimate.mixtures import NOISE
 from manifold.estimate.pixel_mixtures import INDEPENDENT, MODEL_ERROR
-from manifold.formats.readings import MOST_GLOSS, Readings
+from manifold.formats.readings import MOST_GLOSS, NO_GLOSS, GlossUnits, Readings
 from manifold.model.estimator import Observation
 
 _READING = (MODEL_ERROR / NOISE) ** 2 / INDEPENDENT  # weight of a reading, of that of a picture
@@ -48,7 +47,7 @@ class Evidence:
     """
 
     readings: Readings | None = None
-    gloss: Mapping[float, float] = field(default_factory=lambda: MappingProxyType({}))
+    gloss: GlossUnits = field(default_factory=lambda: NO_GLOSS)
     at: tuple[Array, Array] | None = None
     pictures: Sequence[Sequence[Observation]] = ()
     exposure: float | None = 1.0
@@ -68,7 +67,7 @@ class Evidence:
         Cube roots of atoms at them, (n, P) and (n, G), are evaluated if they are not known.
         """
         if at is None:
-            at = atoms.at(readings.wi, readings.wo), atoms.gloss(tuple(readings.gloss))
+            at = atoms.at(readings.wi, readings.wo), atoms.at_gloss_meters(tuple(readings.gloss))
         return cls(readings, readings.gloss, at)
 
     def __str__(self) -> str:
@@ -193,10 +192,10 @@ def rows_of_readings(atoms: LibraryAtoms, readings: Readings, of_pixels: float) 
 
 
 def rows_of_gloss(
-    atoms: LibraryAtoms, gloss: Mapping[float, float], weights: Array, of_pixel: float
+    atoms: LibraryAtoms, gloss: GlossUnits, weights: Array, of_pixel: float
 ) -> list[Observation]:
     """Return gloss in every channel, of the colour that weights (3, n) give it; each counts as a pixel."""
-    means, unit = atoms.gloss(tuple(gloss)), np.array([value_of_unit(angle) for angle in gloss])
+    means, unit = atoms.at_gloss_meters(tuple(gloss)), np.array([value_of_unit(angle) for angle in gloss])
     read = unit * list(gloss.values())
     of_channels = np.maximum(weights @ means, np.finfo(float).tiny)
     seen = read * of_channels / luminance(of_channels.T, Bands(None))

@@ -14,6 +14,7 @@ from manifold.colour import panel
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.panel import Panel
 from manifold.core.defaults import TINY
+from manifold.core.directions import is_near_mirror
 from manifold.core.metrics import Errors, RunningErrors
 from manifold.core.records import Array, Indices, Mask, evenly_spaced
 from manifold.core.threads import one_blas_thread, share_out
@@ -28,7 +29,6 @@ CALIBRATION_VERSION = 3
 """Raised where completions, or errors of left-out materials, change: calibrations that are stored are stale then."""
 
 _KINDS = ("ball", "scaled_ball", "cube_root", "linear", "near_mirror", "elsewhere")  # some may be unknown
-_NEAR_MIRROR_DEG = 10.0  # from the mirror direction
 _LEFT_OUT = 16  # materials by which errors of estimates from pictures are calibrated
 _MARGIN = 1.05  # residuals closer to the largest are equal to it for a user, and by rounding
 _PIXEL_STRIDE = 4  # one in this many pixels is enough for plausible errors
@@ -343,9 +343,7 @@ def _best_factor(light: Array, made: Array) -> float:
 def _errors_of_values(atoms: LibraryAtoms, f: Array, f_star: Array) -> Errors[Array]:
     """Return errors of values f_star at the grid, near mirror directions and elsewhere too, from f (..., P_g, B)."""
     cosines = atoms.weights[: atoms.n_grid] ** 1.5
-    is_near = np.sum(atoms.grid.wi * atoms.grid.wo * [-1.0, -1.0, 1.0], axis=1) > np.cos(
-        np.deg2rad(_NEAR_MIRROR_DEG)
-    )
+    is_near = is_near_mirror(atoms.grid.wi, atoms.grid.wo)
 
     def within(part: Mask | slice) -> Errors[Array]:
         errors = RunningErrors()

@@ -21,7 +21,6 @@ from manifold.colour.conversion import luminance
 from manifold.core.directions import from_spherical, normalize
 from manifold.core.errors import UsageError
 from manifold.core.records import Array
-from manifold.formats.readings import GLOSS_ANGLES_DEG
 
 RECEPTORS_DEG = {20: (1.8, 3.6), 60: (4.4, 11.7), 85: (4.0, 6.0)}  # widths in plane, and across it
 SOURCE_DEG = (0.75, 2.5)
@@ -78,8 +77,8 @@ def value_of_unit(angle_deg: float) -> float:
     return 1.0 / float(gloss_meter(angle_deg).light.sum())
 
 
-def gloss_units(brdf: EvaluableBRDF, angles_deg: Iterable[float] = GLOSS_ANGLES_DEG) -> dict[float, float]:
-    """Return gloss units of a BRDF, by its luminance, at some incidences in degrees.
+def gloss_units(brdf: EvaluableBRDF, angles_deg: Iterable[float]) -> dict[float, float]:
+    """Return gloss units of a BRDF, by its luminance, at some of `GLOSS_ANGLES_DEG`.
 
     Files hold highlights as wide as the goniometer resolved: the gloss of what is polished comes out too low.
     """

@@ -22,13 +22,14 @@ from manifold.core.errors import FileFormatError, ManifoldError, UsageError
 from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource, PlaceSource
 from manifold.formats import registry
 from manifold.formats.readings import Readings
-from manifold.formats.recognition import FIT_SUFFIX, is_library, is_readings, is_rendered, is_rgl
+from manifold.formats.recognition import is_library, is_readings, is_rendered, is_rgl
 from manifold.formats.text import decode, number
 from manifold.io_rgl import material_name
 from manifold.library.identity import alike, file_sha256, require_material_name
 from manifold.library.importing import find_files
 from manifold.library.store import Library
 from manifold.model.colours import ColourChoice
+from manifold.registries import FIT_SUFFIX
 
 _SAME_INCIDENCE = 1e-3  # largest difference between unit vectors
 

@@ -6,11 +6,10 @@ goniometer. For these directions its values are interpolated in half and differe
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,7 +28,7 @@ from manifold.core.records import Array
 from manifold.core.results import Result, derived, entry
 from manifold.estimate.inputs import Sample
 from manifold.formats import registry
-from manifold.formats.readings import Between, Readings
+from manifold.formats.readings import NO_GLOSS, Between, GlossUnits, Readings
 from manifold.formats.recognition import is_readings
 from manifold.library.identity import alike
 from manifold.library.importing import find_files
@@ -290,7 +289,7 @@ def read(
     paths: Sequence[Path],
     sample: str | None = None,
     correction: Path | None = None,
-    gloss: Mapping[float, float] = MappingProxyType({}),
+    gloss: GlossUnits = NO_GLOSS,
     unit: str | None = None,
 ) -> tuple[Readings, ColourCorrection | None]:
     """Read one sample from its files, with the colour correction that was learned from two instruments' files.
@@ -314,7 +313,7 @@ def read(
 
 
 def read_sample(
-    sample: Sample, correction: Path | None = None, gloss: Mapping[float, float] = MappingProxyType({})
+    sample: Sample, correction: Path | None = None, gloss: GlossUnits = NO_GLOSS
 ) -> tuple[Readings, ColourCorrection | None]:
     """Read a sample that was found in files, see `inputs.find_samples`; return readings and correction like `read`."""
     readings = [registry.read_readings(path, name, _MOST_READINGS) for path, name in sample.parts]
@@ -323,7 +322,7 @@ def read_sample(
 
 
 def _merged(
-    readings: list[Readings], correction: Path | None, gloss: Mapping[float, float]
+    readings: list[Readings], correction: Path | None, gloss: GlossUnits
 ) -> tuple[Readings, ColourCorrection | None]:
     if correction is not None:
         known = read_correction(correction)

@@ -19,6 +19,7 @@ from manifold.core.names import percent
 from manifold.core.records import Array, Indices, Mask, evenly_spaced
 from manifold.estimate.lamps import Lamp
 from manifold.estimate.outlines import BRIGHT, Circle, Outline, Photograph, outlines_in
+from manifold.estimate.pixel_mixtures import INDEPENDENT
 
 _SIDES = (24, 48)  # pixels across a ball that are compared, to choose a start and to refine it
 _RIM = 0.95  # share of the radius that is compared
@@ -30,7 +31,6 @@ _DARK = 0.02  # share of a picture's mean, to which errors of darker pixels are 
 _NOISE = 0.03  # error of cube roots, relative to the picture's largest, from which residuals count less
 _LEAST_NOISE = 0.005  # of the smoothest materials
 _ROBUST = 2.0  # residuals, in units of that, that count less than in proportion
-_INDEPENDENT = 30.0  # pixels of a picture whose residuals are independent
 _LARGEST_RESIDUAL = 0.12  # relative error of cube roots beyond which no lamp explains a picture
 _TOGETHER = 12  # pictures that are fitted together; of more, some evenly spaced
 _DOUBTED_DEG = 10.0  # least doubtful angle; lamps are found within 7 degrees in pictures of a matte ball
@@ -465,9 +465,9 @@ class _Pixels:
             D[every, :, at] = (self._light(_stepped(x, at)) - value) / _STEP
         D[every, :, _COMMON + _OWN * every + 2] = value
         D[every, :, _COMMON + _OWN * every + 3] = highlight
-        scale = np.sqrt(_INDEPENDENT / M) / self.noise * weights * self._counts(root)
+        scale = np.sqrt(INDEPENDENT / M) / self.noise * weights * self._counts(root)
         off = scale * (root - self.roots)
-        least = _ROBUST * np.sqrt(_INDEPENDENT / M)
+        least = _ROBUST * np.sqrt(INDEPENDENT / M)
         stretch = np.sqrt(1.0 + (off / least) ** 2)
         robust = np.sign(off) * least * np.sqrt(2.0 * (stretch - 1.0))
         slope = np.where(robust == 0.0, 1.0, off / (stretch * np.where(robust == 0.0, 1.0, robust)))

@@ -6,7 +6,6 @@ where nothing was seen: many mixtures fit. All are evaluated, and averaged by th
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -18,6 +17,7 @@ from manifold.core.directions import from_spherical
 from manifold.core.records import Array, Bands, Indices, Mask
 from manifold.estimate.gloss import gloss_differences, value_of_unit
 from manifold.estimate.residual import cells, coordinates, covariance
+from manifold.formats.readings import GlossUnits
 from manifold.gp.nonnegative import nonnegative_weights
 
 # These constants, and those below, were chosen by completions of left-out RGB files. Multiplied or divided by 1.5, each
@@ -391,7 +391,7 @@ class GlossReadings:
     unit: Array
 
     @classmethod
-    def of(cls, gloss: Mapping[float, float], bands: Bands, atoms: Array) -> GlossReadings:
+    def of(cls, gloss: GlossUnits, bands: Bands, atoms: Array) -> GlossReadings:
         """Return readings of gloss from units by angle, given the atoms' cube roots there, (n + 1, G)."""
         unit = np.array([value_of_unit(angle) for angle in gloss])
         mean = unit * list(gloss.values())

@@ -72,56 +72,19 @@ def predict(
         isinstance(latent, LibrarySource) and latent.name not in model.names
     ):
         made = _of_file(model, latent, colour, attributes)
-        is_as_it_is = options == DEFAULT_OPTIONS
-        options = replace(
-            options,
-            resolution=max(options.resolution, FINE_OPTIONS.resolution),
-            incidences=max(options.incidences, FINE_OPTIONS.incidences),
-        )
     else:
         made = _of_place(model, place_of(latent, model), colour, attributes)
-        is_as_it_is = False
-    place, brdf, chosen, adjusted = made.place, made.brdf, made.chosen, made.adjusted
-    if adjusted is not None:
-        adjusted.warn()
+    if made.adjusted is not None:
+        made.adjusted.warn()
     start = time.perf_counter()
-    clipped = ClippedBRDF(brdf)
-    description = _describe(model, made, options.physical)
-    remedy = "make it physical, write more incidences"
-    of_place = None if place is None or made.own else model.expected_error(place, chosen.colours)
-    if is_as_it_is and made.file is not None and brdf is made.before:
-        file = replace(made.file, name=material_name(output))
-        write_bsdf(output, file)
-        written = WrittenFile(plausibility_of_file(file), file)
-    else:
-        written = write_checked(
-            output, clipped, options, description=description, remedy=remedy,
-            expected_error=None if of_place is None else of_place.cube_root,
-        )  # fmt: skip
+    clipped = ClippedBRDF(made.brdf)
+    written = _write(model, made, clipped, output, options)
     assert written.file is not None  # a refusal is an error
     read_back = MeasuredBRDF(fill_unmeasured(written.file))
-    difference = mirror_difference(brdf, read_back)
+    difference = mirror_difference(made.brdf, read_back)
     seconds = time.perf_counter() - start
-    found = written.plausibility, clipped.clipped_share
-    if place is None:
-        prediction = diagnose_file(made.own, brdf, chosen, *found, made.unmeasured)
-    else:
-        prediction = diagnose(model, place, brdf, chosen, *found)
-    if made.own:
-        prediction = replace(
-            prediction, own=made.own, change=brdf_errors(made.before, read_back), expected=None,
-            expected_in_chosen_colour=None,
-        )  # fmt: skip
-    elif prediction.expected is not None:
-        prediction = replace(prediction, expected=written.expected(prediction.expected))
-    notes = prediction.diagnostics + written.projection
-    if adjusted is not None:
-        recoated = made.is_recoated and not made.own
-        notes = (*adjusted.shortfalls, *notes, *(_RECOATED,) * recoated)
-        prediction = replace(prediction, attributes=adjusted.to_json())
     return replace(
-        prediction,
-        diagnostics=notes,
+        _diagnose(model, made, written, clipped.clipped_share, read_back),
         path=output,
         is_physical=options.physical,
         clipped_share=clipped.clipped_share,
@@ -151,6 +114,11 @@ class _Made:
     own: str = ""
     file: BsdfFile | None = None
     unmeasured: float = 0.0
+
+    @property
+    def is_unchanged(self) -> bool:
+        """Whether it is a file in its own values."""
+        return self.file is not None and self.brdf is self.before
 
     def with_attributes(self, of_colour: Attributes | None, of_coat: Attributes) -> _Made:
         """Edit the own values: the colour unless it was changed on the map, and the coat."""
@@ -211,6 +179,54 @@ def _of_place(model: Manifold, place: Place, colour: ColourChoice, attributes: A
     brdf = model.predict(adjusted.place, chosen.colours).turned(place.rotation_rad)
     made = replace(made, place=adjusted.place, brdf=brdf, chosen=chosen, adjusted=adjusted)
     return made.with_attributes(None, of_coat)
+
+
+def _write(
+    model: Manifold, made: _Made, clipped: ClippedBRDF, output: Path, options: OutputOptions
+) -> WrittenFile:
+    """Write a material: an unchanged file as it is, an edited one on grids at least as fine as `FINE_OPTIONS`."""
+    if made.file is not None and made.is_unchanged and options == DEFAULT_OPTIONS:
+        file = replace(made.file, name=material_name(output))
+        write_bsdf(output, file)
+        return WrittenFile(plausibility_of_file(file), file)
+    if made.file is not None:
+        options = replace(
+            options,
+            resolution=max(options.resolution, FINE_OPTIONS.resolution),
+            incidences=max(options.incidences, FINE_OPTIONS.incidences),
+        )
+    expected = None
+    if made.place is not None and not made.own:
+        expected = model.expected_error(made.place, made.chosen.colours)
+    return write_checked(
+        output, clipped, options, description=_describe(model, made, options.physical),
+        remedy="make it physical, write more incidences",
+        expected_error=None if expected is None else expected.cube_root,
+    )  # fmt: skip
+
+
+def _diagnose(
+    model: Manifold, made: _Made, written: WrittenFile, clipped_share: float, read_back: BRDF
+) -> DiagnosedPrediction:
+    """Return what is known of a written material: the change of its own values, or what to expect of the map."""
+    found, adjusted = (written.plausibility, clipped_share), made.adjusted
+    if made.place is None:
+        prediction = diagnose_file(made.own, made.brdf, made.chosen, *found, made.unmeasured)
+    else:
+        prediction = diagnose(model, made.place, made.brdf, made.chosen, *found)
+    notes = prediction.diagnostics + written.projection
+    if made.own:
+        change = brdf_errors(made.before, read_back)
+        prediction = replace(
+            prediction, own=made.own, change=change, expected=None, expected_in_chosen_colour=None
+        )
+    elif prediction.expected is not None:
+        prediction = replace(prediction, expected=written.expected(prediction.expected))
+    if adjusted is None:
+        return replace(prediction, diagnostics=notes)
+    recoated = (_RECOATED,) * (made.is_recoated and not made.own)
+    notes = (*adjusted.shortfalls, *notes, *recoated)
+    return replace(prediction, diagnostics=notes, attributes=adjusted.to_json())
 
 
 def _describe(model: Manifold, made: _Made, physical: bool) -> str:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,10 +12,11 @@ from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.notebook import ball_image, sun_image
 from manifold.colour.difference import lab_values
-from manifold.core.directions import angles_from_mirror, from_spherical
+from manifold.colour.panel import SUN_DEG
+from manifold.core.directions import NEAR_MIRROR_DEG, angles_from_mirror, from_spherical
 from manifold.core.records import Array, evenly_spaced
 from manifold.estimate.gloss import gloss_units
-from manifold.formats.readings import GLOSS_ANGLES_DEG, Readings
+from manifold.formats.readings import GLOSS_ANGLES_DEG, NO_GLOSS, GlossUnits, Readings
 from manifold.io_rgl import read_bsdf
 from manifold.pictures import html_page
 from manifold.pictures.html_page import Section
@@ -37,13 +37,11 @@ _BALL, _WIDTH = 256, 192  # pixels of a ball, and on the page
 _WIDE = 800  # pixels of a figure on the page
 _COARSE_BALL = 96  # without Mitsuba
 _SUN_SHARE = 0.625  # of the frame's width that the ball fills, as in the studio
-_SUN_DEG = 45.0
 _BACKGROUND = 0.12
 _MOST_READINGS = 60  # rows of a table: of more readings, those that differ most
 _FLOP_DEG = (15.0, 45.0, 110.0)
 _MOST_INCIDENCES, _MOST_SPECTRA = 4, 6  # lines of a figure
 _GRAZING_DEG = 80.0  # largest outgoing angle of curves
-_HIGHLIGHT_DEG = 10.0  # from the mirror direction, where values do not set the frame
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#000000")
 
 
@@ -145,7 +143,7 @@ def balls(brdf: BRDF) -> Section:
     studio = studio_ball(brdf)
     margin = round(0.5 * _BALL * (1.0 - _SUN_SHARE))
     size = _BALL - 2 * margin
-    sun, is_lit = sun_image(brdf, size, _SUN_DEG)
+    sun, is_lit = sun_image(brdf, size, SUN_DEG)
     across = 2.0 * (np.arange(size) + 0.5) / size - 1.0
     beside = np.hypot(across, across[:, None])[..., None] > 1.0
     framed = np.pad(
@@ -154,7 +152,7 @@ def balls(brdf: BRDF) -> Section:
         constant_values=_BACKGROUND,
     )
     shown = [studio, framed]
-    names = ("in the studio", f"under a sun {_SUN_DEG:g} degrees beside the view")
+    names = ("in the studio", f"under a sun {SUN_DEG:g} degrees beside the view")
     pictures = [
         (name, html_page.picture(image, f"ball {name}", _WIDTH))
         for name, image in zip(names, shown, strict=True)
@@ -219,7 +217,7 @@ def _of_colours(made: Completion, left_out: LeftOutReadings | None) -> list[Sect
     figures = [
         (
             "over the aspecular angle; lines: completed, band: within the factor of 90 % probability, dots: readings; "
-            "highlights within 10 degrees of the mirror direction may exceed the frame",
+            f"highlights within {NEAR_MIRROR_DEG:g} degrees of the mirror direction may exceed the frame",
             _colour_figure(made, angles, read),
         )
     ]
@@ -250,7 +248,7 @@ def _colour_figure(made: Completion, angles: Array, read: Array) -> Figure | Non
     picked = evenly_spaced(len(known), _MOST_INCIDENCES)
     for colour, incidence in zip(_COLOURS, known[picked], strict=False):
         aspecular, lab, lightness = _along_plane(made, float(incidence))
-        shown.append(lab[np.abs(aspecular) > _HIGHLIGHT_DEG])
+        shown.append(lab[np.abs(aspecular) > NEAR_MIRROR_DEG])
         own = in_plane & (incidences == incidence)
         axes[0].fill_between(aspecular, *lightness, color=colour, alpha=0.15, linewidth=0.0)
         for k, one in enumerate(axes):
@@ -332,7 +330,7 @@ def flop_index(angles: Array, lab: Array) -> float | None:
     return float(2.69 * max(bright - dark, 0.0) ** 1.11 / max(middle, 1e-3) ** 0.86)
 
 
-def gloss(brdf: BRDF, read: Mapping[float, float] = MappingProxyType({})) -> Section:
+def gloss(brdf: BRDF, read: GlossUnits = NO_GLOSS) -> Section:
     """Return gloss units of a material, beside those that were read, by angle in degrees."""
     units_by_angle = gloss_units(brdf, GLOSS_ANGLES_DEG)
     measured = {

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeAlias
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -31,10 +32,10 @@ from manifold.estimate.mixtures import (
 from manifold.estimate.pixel_mixtures import GRID_STRIDE, MODEL_ERROR, PixelPosterior, pixel_mixtures
 from manifold.estimate.residual import ResidualFactors, coordinates, residual_factors
 from manifold.estimate.sightings import Sighting, unlit
-from manifold.formats.readings import Readings
+from manifold.formats.readings import GlossUnits, Readings
 from manifold.model.estimator import LEAST, Observation, explain
 
-Seen = Sighting | Readings | Mapping[float, float]
+Seen: TypeAlias = Sighting | Readings | GlossUnits
 """An observation of a material: a picture, readings, or gloss units by angle in degrees."""
 
 CONTRADICTION = 0.2

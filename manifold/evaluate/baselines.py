@@ -12,7 +12,8 @@ from manifold.core.records import Array, Indices
 from manifold.evaluate.cross_validation import Encode, Fit
 from manifold.evaluate.method_data import Data
 from manifold.model.combination import Combination
-from manifold.model.reconstruction import DICTIONARY, MAX_BANDS, ComparedValues
+from manifold.model.reconstruction import DICTIONARY, ComparedValues
+from manifold.model.settings import LEARNT_BANDS
 from manifold.registries import MAPPINGS
 
 _IDENTITY = MAPPINGS["identity"]
@@ -125,7 +126,7 @@ NUMBERS_PER_BAND = 26  # about 13 weights of a reconstruction, and which atoms t
 
 def few_numbers(B: int) -> int:
     """Return how many numbers three atoms with a weight per band take: 12 for RGB."""
-    return 3 * (min(B, MAX_BANDS) + 1)
+    return 3 * (min(B, LEARNT_BANDS) + 1)
 
 
 def fit_nonnegative(sample_bands: int, numbers: Callable[[int], int] | None = None) -> Fit:

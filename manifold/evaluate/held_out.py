@@ -23,13 +23,14 @@ from manifold.evaluate import storage_forms
 from manifold.evaluate.coherences import measure_map
 from manifold.evaluate.cross_validation import BYTES_PER_NUMBER, Fit, Method, cross_validate, leave_out
 from manifold.evaluate.errors import MethodErrors
-from manifold.evaluate.method_data import MAX_BANDS, Data, band_shares
+from manifold.evaluate.method_data import Data, band_shares
 from manifold.evaluate.stopwatch import RelativeTime, Stopwatch, some_pairs
 from manifold.evaluate.storage_forms import Storage
 from manifold.model.coherence import Coherence
 from manifold.model.combination import Combination, Values, evaluate
 from manifold.model.materials import MaterialTable
 from manifold.model.prediction import PredictedBRDF
+from manifold.model.settings import LEARNT_BANDS
 
 FOLDS = 10
 _TIMED, _REPEATS = 3, 5
@@ -79,7 +80,7 @@ class HeldOut:
         self._files, self.watch = [fill_unmeasured(file) for file in files], Stopwatch()
         self.folds = min(FOLDS, len(files))
         n_bands = files[0].bands.count
-        bands = evenly_spaced(n_bands, MAX_BANDS)
+        bands = evenly_spaced(n_bands, LEARNT_BANDS)
         for count in {s.sample_bands for s in chosen} - {None}:
             bands = np.union1d(bands, evenly_spaced(n_bands, int(count or 0)))
         materials = [MeasuredBRDF(file) for file in self._files]

@@ -17,8 +17,8 @@ from manifold.core.records import Array, Indices, evenly_spaced
 from manifold.gp.encoding import PAIR_STRIDE
 from manifold.model import gram
 from manifold.model.combination import Values
+from manifold.model.settings import LEARNT_BANDS
 
-MAX_BANDS = 20  # bands that methods learn from, evenly spaced: about every tenth of 195
 _BLOCK_VALUES = 10_000_000  # measured values held at once, of all materials together
 
 
@@ -56,10 +56,10 @@ class Data(Values):
     ) -> Data:
         """Evaluate N materials of the same bands on a grid, in some bands, increasing.
 
-        By default these are at most MAX_BANDS, evenly spaced.
+        By default these are at most LEARNT_BANDS, evenly spaced.
         """
         n_bands = materials[0].bands.count
-        bands = evenly_spaced(n_bands, MAX_BANDS) if bands is None else bands
+        bands = evenly_spaced(n_bands, LEARNT_BANDS) if bands is None else bands
         selected = [material.select_bands(bands.tolist()) for material in materials]
         blocks = []
         total = -(-grid.n_pairs // gram.BLOCK_PAIRS)

@@ -40,7 +40,7 @@ from manifold.evaluate.errors import (
     plausibility_results,
     standardised_error,
 )
-from manifold.evaluate.method_data import MAX_BANDS, Data, band_shares, block_pairs
+from manifold.evaluate.method_data import Data, band_shares, block_pairs
 from manifold.evaluate.methods import PUBLISHED, baseline_methods, gplvm_methods, standard_methods
 from manifold.evaluate.model_methods import model_methods, replaced_keys
 from manifold.evaluate.seen_fits import seen_principled
@@ -52,7 +52,7 @@ from manifold.model.combination import Values
 from manifold.model.expected_error import Reliability
 from manifold.model.manifold import Manifold
 from manifold.model.materials import MaterialTable
-from manifold.model.settings import SAMPLE_BANDS
+from manifold.model.settings import LEARNT_BANDS, SAMPLE_BANDS
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -362,7 +362,7 @@ class _Refits(NamedTuple):
 def tabulate_materials(model: Manifold, materials: Sequence[MeasuredBRDF]) -> Data:
     """Return the data of all methods, in about 20 bands, including the samples of blends."""
     count = model.bands.count
-    bands = np.union1d(evenly_spaced(count, MAX_BANDS), evenly_spaced(count, SAMPLE_BANDS))
+    bands = np.union1d(evenly_spaced(count, LEARNT_BANDS), evenly_spaced(count, SAMPLE_BANDS))
     return Data.evaluate(materials, RusinkiewiczGrid.named("default"), bands)
 
 

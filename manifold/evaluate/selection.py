@@ -23,11 +23,10 @@ from manifold.evaluate.errors import MethodErrors, measure_errors
 from manifold.evaluate.latent_models import fit_map, fit_settings
 from manifold.evaluate.method_data import Data
 from manifold.model.materials import MaterialTable
-from manifold.model.settings import SAMPLE_BANDS, BlendSettings, GplvmSettings, Settings
+from manifold.model.settings import COMPARED_BANDS, SAMPLE_BANDS, BlendSettings, GplvmSettings, Settings
 from manifold.registries import MAPPINGS
 
 GRID = RusinkiewiczGrid(24, 12, 8)  # a fifth of the pairs of the default grid
-MAX_BANDS = 12  # evenly spaced, besides those that are samples
 MAX_DIMENSIONS = 6
 PAYS = 0.05  # an added dimension has to take this share off error times detour
 LEAVE_ONE_OUT_UP_TO = 20  # materials; more are dealt into FOLDS
@@ -117,7 +116,7 @@ class _Trials:
     def __init__(self, materials: Sequence[MeasuredBRDF], settings: Settings) -> None:
         n_bands, N = materials[0].bands.count, len(materials)
         sample_bands = settings.sample_bands if isinstance(settings, BlendSettings) else SAMPLE_BANDS
-        bands = np.union1d(evenly_spaced(n_bands, MAX_BANDS), evenly_spaced(n_bands, sample_bands))
+        bands = np.union1d(evenly_spaced(n_bands, COMPARED_BANDS), evenly_spaced(n_bands, sample_bands))
         self._settings = settings
         self._data = Data.evaluate(materials, GRID, bands, stride=1)
         self._table = MaterialTable(materials, bands)

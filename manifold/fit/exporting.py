@@ -16,6 +16,7 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.orientation import aligned
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour.difference import VISIBLE
+from manifold.colour.panel import SUN_DEG
 from manifold.core import disk, shipped
 from manifold.core.errors import UsageError
 from manifold.core.judged_lights import BALL, BALL_COLUMN, LIGHTS, light_in_words
@@ -32,7 +33,7 @@ from manifold.fit.exports.targets import Target, TargetBRDF, target_of
 from manifold.fit.fit_metrics import ball_errors, missed_highlight
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.principled import fit_bsdf
-from manifold.formats.recognition import FIT_SUFFIX, is_fit, is_library, is_rgl
+from manifold.formats.recognition import is_fit, is_library, is_rgl
 from manifold.io_rgl import material_name, read_bsdf
 from manifold.library.identity import file_sha256
 from manifold.library.store import Library
@@ -44,7 +45,7 @@ from manifold.model.places import PlaceLike
 from manifold.pictures import export_sheet, figures, html_page
 from manifold.pictures import fit_comparison as comparison
 from manifold.pictures.slice_figures import ShownBRDF
-from manifold.registries import TARGETS
+from manifold.registries import FIT_SUFFIX, TARGETS
 from manifold.render import fit_json
 from manifold.render.fitted_brdf import FittedBRDF
 
@@ -401,7 +402,7 @@ def _write_index(target: Target, made: Batch[ExportSource]) -> None:
             cards.append(html_page.card(picture, f"balls of {one.name}", one.path.name, one.name, words))
     intro = (
         "Each picture: left the material, right its export; above in the studio, below under a sun "
-        f"{export_sheet.SUN_DEG:.0f} degrees beside the view. CIEDE2000 of the ball between the two, in the mean of "
+        f"{SUN_DEG:.0f} degrees beside the view. CIEDE2000 of the ball between the two, in the mean of "
         f"{LIGHTS} that the fit did not use, and in the worst (sun N: a sun N degrees beside the view)."
     )
     failed = [f"{one.name}: {one.failure}" for one in made.outcomes if one.failure is not None]

@@ -82,7 +82,6 @@ def ball_errors(fitted: EvaluableBRDF, material: EvaluableBRDF) -> Errors[float]
 
 
 _NEAR_DEG = 25.0  # angle from the mirror direction within which is the highlight
-_HIGHLIGHT_SUN_DEG = 45.0  # angle between view and the sun under which it is looked at
 # CIEDE2000 of a highlight that is missed, and its ratio to that of the rest.
 _MISSED, _MISSED_SHARE = 5.0, 2.0
 
@@ -93,7 +92,7 @@ def missed_highlight(fitted: EvaluableBRDF, material: EvaluableBRDF) -> str | No
     Examples are the rainbows of flakes and films in models without them, which no other parameter can
     replace.
     """
-    ball = panel.sun(_HIGHLIGHT_SUN_DEG)
+    ball = panel.sun(panel.SUN_DEG)
     xyz, xyz_star = (ball.xyz(values_at(brdf, ball), brdf.bands) for brdf in (fitted, material))
     differences = delta_e_2000(xyz, xyz_star, srgb_to_xyz(np.ones(3)))
     is_near = half_vector(ball.wi, ball.wo)[:, 2] > np.cos(np.deg2rad(_NEAR_DEG))

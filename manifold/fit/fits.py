@@ -26,7 +26,7 @@ from manifold.fit import fit_samples
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.principled import FitResult, fit_bsdf
 from manifold.formats import registry
-from manifold.formats.recognition import FIT_SUFFIX, is_rgl
+from manifold.formats.recognition import is_rgl
 from manifold.io_rgl import read_bsdf
 from manifold.library.identity import file_sha256, require_material_name
 from manifold.library.store import Library
@@ -34,7 +34,7 @@ from manifold.many.batch import PREDICTED, BatchCommand, Content, Outcome, appea
 from manifold.model import diagnostics
 from manifold.model.diagnostics import DiagnosedPrediction
 from manifold.model.manifold import load_model
-from manifold.registries import FITTERS
+from manifold.registries import FIT_SUFFIX, FITTERS
 from manifold.render import fit_json
 from manifold.render.bsdf_evaluation import bsdf_dict
 from manifold.render.bsdf_parameters import BsdfFamily, default_principled, diffuse

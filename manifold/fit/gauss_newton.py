@@ -20,7 +20,6 @@ from manifold.render.bsdf_evaluation import evaluator
 from manifold.render.bsdf_parameters import BsdfFamily, ParameterLayout
 
 _BAND_ITERATIONS, _BAND_PAIRS = 20, 512  # most iterations, and pairs, of `refine_bands`
-_VALLEY = 0.2  # share of the ranges: how far to look along the flattest direction
 
 
 @dataclass(frozen=True)
@@ -38,7 +37,6 @@ class GaussNewton:
         coarse_iterations, iterations: evaluations allowed per start, coarse and fine.
         tolerance: relative change of the cost, and of the parameters, at which a refinement ends.
         n_fine: how many distinct minima of the coarse refinement are refined on all pairs.
-        n_walks, n_scan: how often, and at how many points, the valley around the best minimum is searched for others.
         seed: of the quasi-random search.
     """
 
@@ -51,8 +49,6 @@ class GaussNewton:
     iterations: int = 60
     tolerance: float = 1e-5
     n_fine: int = 3
-    n_walks: int = 4
-    n_scan: int = 96
     seed: int = 0
 
 
@@ -217,7 +213,7 @@ def select_minima(minima: list[Minimum], limit: float) -> list[Minimum]:
 
 def find_minima(residuals: Residuals, options: GaussNewton) -> list[Minimum]:
     """Return distinct minima, best first; for few samples, then rivals (see `select_minima`)."""
-    stages = Stages({"coarse search": 4, "refinement": 3, "checking minima": 3})
+    stages = Stages({"coarse search": 4, "refinement": 6})
     stages.begin("coarse search")
     layout = residuals.layout
     scale = layout.maximum - layout.minimum
@@ -247,15 +243,6 @@ def find_minima(residuals: Residuals, options: GaussNewton) -> list[Minimum]:
     stages.begin("refinement")
     in_chosen = progress.each(chosen)
     ends = [minimize(residuals, one.p, options.iterations, options.tolerance) for one in in_chosen]
-    best_end = min(ends, key=_cost)
-    stages.begin("checking minima")
-    for _ in progress.each(range(options.n_walks)):
-        starts = _along_the_valley(residuals, best_end, options)
-        beside = [minimize(residuals, start, options.iterations, options.tolerance) for start in starts]
-        ends += beside
-        if not beside or min(map(_cost, beside)) >= best_end.cost * (1.0 - 1e-6):
-            break
-        best_end = min(beside, key=_cost)
     return distinct(scale, ends, 0.02)
 
 
@@ -324,29 +311,6 @@ def _diverse(inward: Array, points: Array, is_per_band: Mask, n: int) -> list[Ar
             if len(chosen) == n:
                 break
     return [points[k] for k in chosen]
-
-
-def _along_the_valley(full: Residuals, best: Minimum, options: GaussNewton) -> list[Array]:
-    """Return starts in the dips of the cost along its flattest direction through a minimum, lowest first.
-
-    Few samples see a sharp lobe: along the valley in which a stronger and blunter lobe is nearly as good, the cost has
-    a dip wherever the lobe meets one of them.
-    """
-    layout = full.layout
-    lower, upper, at = (layout.inward(p) for p in (layout.minimum, layout.maximum, best.p))
-    J = full.jacobian(at) * (upper - lower)
-    direction = np.linalg.eigh(J.T @ J)[1][:, 0] * (upper - lower)
-    steps = np.linspace(-_VALLEY, _VALLEY, options.n_scan)
-    points: Array = at + steps[:, None] * direction
-    inside = np.all((points >= lower) & (points <= upper), axis=1)
-    if np.count_nonzero(inside) < 3:
-        return []
-    points = layout.outward(points[inside])
-    costs = np.sum(full.criterion.residual(full.evaluator.values(points)) ** 2, axis=(1, 2))
-    dips = 1 + np.flatnonzero((costs[1:-1] < costs[:-2]) & (costs[1:-1] < costs[2:]))
-    dips = dips[np.abs(steps[inside][dips]) > 1.5 * (steps[1] - steps[0])]  # the minimum itself
-    lowest = dips[np.argsort(costs[dips])][: options.n_fine]
-    return [points[i] for i in lowest if costs[i] <= 1.25 * best.cost]
 
 
 def _outer_quarters(points: Array, layout: ParameterLayout) -> list[tuple[Array, tuple[Array, Array]]]:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from manifold.core import disk
+from manifold.core.defaults import GONIOMETER
 from manifold.core.errors import ShapeError
 from manifold.core.names import in_one_line
 from manifold.core.records import Array
@@ -28,7 +29,7 @@ from manifold.formats.column_heads import (
 from manifold.formats.csv_table import angles_deg, band_heads
 from manifold.formats.geometries import directions, exceed_radians
 from manifold.formats.quantities import BRDF, FACTORS, I_OVER_F, Quantity, quantity_in_prose
-from manifold.formats.readings import GONIOMETER, Assumption, Readings
+from manifold.formats.readings import Assumption, Readings
 from manifold.formats.text import (
     MOST_ROWS,
     ErrorContext,

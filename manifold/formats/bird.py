@@ -21,10 +21,11 @@ import numpy as np
 
 from manifold import __version__
 from manifold.core import disk
+from manifold.core.defaults import GONIOMETER
 from manifold.core.names import in_one_line
 from manifold.core.records import Array
 from manifold.formats.geometries import by_band, directions
-from manifold.formats.readings import GONIOMETER, Readings
+from manifold.formats.readings import Readings
 from manifold.formats.text import ErrorContext, angle_unit, decode, nanometres, read_bytes
 from manifold.formats.values import weights_of
 

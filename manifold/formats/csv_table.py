@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from manifold.core import disk
+from manifold.core.defaults import REPEATABILITY
 from manifold.core.directions import to_spherical
 from manifold.core.errors import FileFormatError
 from manifold.core.names import in_one_line
@@ -24,7 +25,7 @@ from manifold.core.records import Array
 from manifold.formats.column_heads import gloss_angle, plain_head, viewing
 from manifold.formats.foreign import resembles_json
 from manifold.formats.quantities import BRDF
-from manifold.formats.readings import DAYLIGHT, REPEATABILITY, Readings
+from manifold.formats.readings import DAYLIGHT, Readings
 from manifold.formats.tables import (
     NEW_HEADER,
     SCATTER_HEAD,

@@ -9,9 +9,10 @@ from typing import Literal
 
 import numpy as np
 
+from manifold.core.defaults import GONIOMETER
 from manifold.core.directions import from_rusinkiewicz, from_spherical
 from manifold.core.records import Array, Bands, Indices, Mask
-from manifold.formats.readings import GONIOMETER, Readings
+from manifold.formats.readings import Readings
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from manifold.core import disk
+from manifold.core.defaults import GONIOMETER
 from manifold.formats.dense import DenseTable
 from manifold.formats.geometries import directions
-from manifold.formats.readings import GONIOMETER, Readings
+from manifold.formats.readings import Readings
 from manifold.formats.text import ErrorContext, data_lines, decode, read_lines
 from manifold.formats.values import unnamed_band
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from manifold.core.directions import cos_from_mirror
 from manifold.core.records import Array, Mask
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
@@ -69,7 +70,7 @@ def with_light_side_note(readings: Readings) -> Readings:
     is_oblique = (readings.wi[:, 2] > _OBLIQUE[0]) & (readings.wi[:, 2] < _OBLIQUE[1])
     brightness = np.mean(np.nan_to_num(readings.values), axis=1)
     towards_light = np.einsum("pi,pi->p", readings.wi, readings.wo)
-    towards_mirror = np.einsum("pi,pi->p", readings.wi * [-1.0, -1.0, 1.0], readings.wo)
+    towards_mirror = cos_from_mirror(readings.wi, readings.wo)
     light, mirror = (brightness[is_oblique & (cosine > _NEAR)] for cosine in (towards_light, towards_mirror))
     if len(readings) < _LEAST_PAIRS or not light.size or not mirror.size:
         return readings

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from manifold.core import disk
+from manifold.core.defaults import GONIOMETER
 from manifold.core.directions import from_spherical
 from manifold.core.names import in_one_line
 from manifold.core.records import Array
@@ -26,7 +27,7 @@ from manifold.formats.bsdf_text import (
 )
 from manifold.formats.dense import DenseTable
 from manifold.formats.light_side import hidden
-from manifold.formats.readings import GONIOMETER, Assumption, Readings
+from manifold.formats.readings import Assumption, Readings
 from manifold.formats.text import decode
 from manifold.formats.values import converted, linear_srgb_to_xyz, unnamed_band
 

@@ -17,12 +17,13 @@ from typing import Any
 import numpy as np
 
 from manifold.core import disk
+from manifold.core.defaults import GONIOMETER
 from manifold.core.names import in_one_line
 from manifold.core.records import Array
 from manifold.formats.column_heads import RELATIVE
 from manifold.formats.dense import DenseTable
 from manifold.formats.geometries import by_band, directions, exceed_radians
-from manifold.formats.readings import GONIOMETER, Readings
+from manifold.formats.readings import Readings
 from manifold.formats.text import ErrorContext, decode, read_bytes
 
 _REMEDY = "export the look-up table again"

@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
+from manifold.core.defaults import GONIOMETER
 from manifold.core.directions import from_spherical
 from manifold.core.records import Array
 from manifold.formats.quantities import LEAST_COSINE, quantity_in_prose
-from manifold.formats.readings import GONIOMETER, Assumption, Readings
+from manifold.formats.readings import Assumption, Readings
 from manifold.formats.text import (
     NUMBER,
     ErrorContext,

@@ -10,10 +10,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from manifold.core.defaults import ILLUMINANT, OBSERVER_DEG, REPEATABILITY
 from manifold.core.directions import from_spherical, require_directions
 from manifold.core.errors import ShapeError, UsageError
 from manifold.core.names import counted
@@ -27,12 +28,6 @@ _MA_T12 = (
 MA_T12_NAMES = tuple(f"{anchor}as{aspecular}" for anchor, aspecular in _MA_T12)
 """The 12 geometries of an MA-T12, in the order of `geometry_ma_t12`."""
 
-REPEATABILITY = 0.0025
-"""Repeatability of a spectrophotometer, relative: 0.05 CIEDE2000."""
-
-GONIOMETER = 0.03
-"""Repeatability of a goniometer."""
-
 UNITS = {"brdf": 1.0, "factor": 1.0 / np.pi, "percent": 0.01 / np.pi}
 """Units of values in tables, in 1/sr: the BRDF, reflectance factors, and these in per cent."""
 
@@ -41,11 +36,17 @@ NO_UNIT = "no unit given"
 
 _CONTRADICTION = 0.1  # scatter of repeated readings that is noted
 
-GLOSS_ANGLES_DEG = (20.0, 60.0, 85.0)
-"""Incidences of gloss meters in degrees (ISO 2813)."""
+GlossUnits: TypeAlias = Mapping[float, float]
+"""Gloss units by the angle of the gloss meter in degrees, one or more of `GLOSS_ANGLES_DEG`."""
 
-MOST_GLOSS = {20.0: 2040.0, 60.0: 1000.0, 85.0: 162.0}
-"""Gloss units of a mirror that reflects all light, by angle: 100 over the reflectance of glass of index 1.567."""
+NO_GLOSS: GlossUnits = MappingProxyType({})
+"""No reading of gloss."""
+
+MOST_GLOSS: GlossUnits = {20.0: 2040.0, 60.0: 1000.0, 85.0: 162.0}
+"""Gloss units of a mirror that reflects all light: 100 over the reflectance of glass of index 1.567."""
+
+GLOSS_ANGLES_DEG = tuple(MOST_GLOSS)
+"""Incidences of gloss meters in degrees (ISO 2813)."""
 
 
 class Viewing(NamedTuple):
@@ -56,8 +57,8 @@ class Viewing(NamedTuple):
         observer_deg: field of view of CIE's standard observer, 2 (1931) or 10 (1964).
     """
 
-    illuminant: str = "D65"
-    observer_deg: int = 2
+    illuminant: str = ILLUMINANT
+    observer_deg: int = OBSERVER_DEG
 
     def __str__(self) -> str:
         return f"{self.illuminant}/{self.observer_deg}"
@@ -129,7 +130,7 @@ class Readings:
     weights: Array = field(default_factory=lambda: np.zeros(0))
     notes: tuple[str, ...] = ()
     texture: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
-    gloss: Mapping[float, float] = field(default_factory=lambda: MappingProxyType({}))
+    gloss: GlossUnits = field(default_factory=lambda: NO_GLOSS)
     scatter: Array = field(default_factory=lambda: np.zeros(0))
     colour_error: float = 0.0
     estimated_from: int | None = None

@@ -16,9 +16,9 @@ from manifold.core.errors import ManifoldError, UsageError
 from manifold.core.picture_bytes import KINDS
 from manifold.core.stores import METADATA, is_zipped_library
 from manifold.formats.tensor_file import is_tensor_file
+from manifold.registries import FIT_SUFFIX
 
 MODEL_MAGIC = b"manifold model\r\n"
-FIT_SUFFIX = ".fit.json"
 _RGL_SUFFIXES = (".bsdf", ".bsdf.gz")
 _FIT_HEAD = b'{\n  "format": "manifold fit"'
 

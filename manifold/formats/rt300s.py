@@ -13,11 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
+from manifold.core.defaults import GONIOMETER
 from manifold.core.directions import from_spherical
 from manifold.core.extras import require
 from manifold.core.records import Array
 from manifold.formats.quantities import LEAST_COSINE
-from manifold.formats.readings import GONIOMETER, Readings, mean_of_repeats
+from manifold.formats.readings import Readings, mean_of_repeats
 from manifold.formats.text import ErrorContext, read_bytes
 from manifold.formats.values import unnamed_band
 

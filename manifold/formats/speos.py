@@ -16,13 +16,14 @@ from typing import NamedTuple
 import numpy as np
 
 from manifold.core import disk
+from manifold.core.defaults import GONIOMETER
 from manifold.core.directions import from_spherical
 from manifold.core.names import in_one_line
 from manifold.core.records import Array
 from manifold.formats.bsdf_text import Words, total_scatter, unique_directions
 from manifold.formats.dense import DenseTable
 from manifold.formats.quantities import LEAST_COSINE
-from manifold.formats.readings import GONIOMETER, Readings
+from manifold.formats.readings import Readings
 from manifold.formats.text import ErrorContext, read_bytes
 from manifold.formats.values import unnamed_band
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from manifold.core.directions import cos_from_mirror
 from manifold.core.records import Array, Indices, Mask
 from manifold.formats.column_heads import channel, is_percent, uncertainty_head, wavelength
 from manifold.formats.quantities import BRDF, FACTORS, Quantity
@@ -238,7 +239,7 @@ def bands_of(
 
 def looks_like_percent(wi: Array, wo: Array, values: Array, most_factor: float = _PERCENT_FROM) -> bool:
     """Return whether values are too large for reflectance factors, away from the mirror direction or anywhere."""
-    mirror = np.einsum("pi,pi->p", wi * [-1.0, -1.0, 1.0], wo)
+    mirror = cos_from_mirror(wi, wo)
     off = np.nan_to_num(values[mirror < np.cos(np.deg2rad(40.0))])
     return bool(np.max(off, initial=0.0) > most_factor or np.max(np.nan_to_num(values)) > _PERCENT_ANYWHERE)
 
@@ -270,7 +271,7 @@ def too_bright_rows(wi: Array, wo: Array, values: Array) -> Indices:
 
 def _is_diffuse(wi: Array, wo: Array) -> Mask:
     """Return a mask of direction pairs (P, 3) away from mirror direction and horizon."""
-    mirror = np.einsum("pi,pi->p", wi * [-1.0, -1.0, 1.0], wo)
+    mirror = cos_from_mirror(wi, wo)
     is_seen = np.minimum(wi[:, 2], wo[:, 2]) > np.cos(np.deg2rad(70.0))
     return np.asarray((mirror < np.cos(np.deg2rad(40.0))) & is_seen)
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from manifold.core import disk
+from manifold.core.defaults import GONIOMETER
 from manifold.core.directions import from_spherical, rotate_z
 from manifold.core.names import in_one_line
 from manifold.core.records import Array, Mask
@@ -24,7 +25,7 @@ from manifold.formats.bsdf_text import (
     read_blocks,
     total_scatter,
 )
-from manifold.formats.readings import GONIOMETER, Readings
+from manifold.formats.readings import Readings
 from manifold.formats.text import decode
 from manifold.formats.values import converted, linear_srgb_to_xyz, unnamed_band
 

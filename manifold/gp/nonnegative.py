@@ -8,11 +8,11 @@ from __future__ import annotations
 import numpy as np
 
 from manifold.core.compiled import loops
+from manifold.core.defaults import TINY
 from manifold.core.errors import ShapeError
 from manifold.core.records import Array
 
 _RIDGE = 1e-10  # on a unit diagonal: atoms that are alike leave the Gram matrix singular
-_TOLERANCE = 1e-9  # smallest slope, relative to the largest inner product
 
 
 def nonnegative_weights(gram: Array, cross: Array) -> Array:
@@ -33,5 +33,5 @@ def nonnegative_weights(gram: Array, cross: Array) -> Array:
     unit = gram / scale[:, None] / scale
     unit[np.diag_indices(n)] = 1.0 + _RIDGE
     weights = np.empty(cross.shape)
-    loops.solve_nonnegative(unit, cross / scale, _TOLERANCE, weights)
+    loops.solve_nonnegative(unit, cross / scale, TINY, weights)
     return weights / scale

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from manifold.brdf.measured import MeasuredBRDF, values_at
 from manifold.colour import panel
 from manifold.core import progress
+from manifold.core.defaults import COMPACT_TOLERANCE
 from manifold.core.errors import LibraryError
 from manifold.core.judged_lights import BALL
 from manifold.core.metrics import cube_root_error
@@ -23,7 +24,6 @@ from manifold.core.stores import Entry
 from manifold.library import staging, visible_normals
 from manifold.library.compact import EXTRA, Compact, decode
 from manifold.library.identity import (
-    DEFAULT_TOLERANCE,
     Accuracy,
     MaterialInfo,
     info_of,
@@ -52,7 +52,7 @@ class CompactResult:
     failed: dict[str, str]
 
 
-def compact_library(path: Path | str, tolerance: float = DEFAULT_TOLERANCE) -> CompactResult:
+def compact_library(path: Path | str, tolerance: float = COMPACT_TOLERANCE) -> CompactResult:
     """Store the materials of a library in compact form, one after the other; the originals are lost.
 
     A killed run leaves every material whole, in one form or the other; another run does the rest.
@@ -96,7 +96,7 @@ def _compact(library: Library, info: MaterialInfo, staged: Path, folder: Path, t
     return compact.accuracy
 
 
-def encode(file: BsdfFile, tolerance: float = DEFAULT_TOLERANCE) -> Compact:
+def encode(file: BsdfFile, tolerance: float = COMPACT_TOLERANCE) -> Compact:
     """Return the coarsest compact form that was found within a tolerance, verified on the decoded file.
 
     The tolerance is the mean CIEDE2000 of the ball; the cube-root error may be `CUBE_ROOT_PER_BALL` times that.

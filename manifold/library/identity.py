@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from manifold.core.defaults import COMPACT_TOLERANCE
 from manifold.core.errors import UsageError
 from manifold.core.records import AnyArray, Array, BsdfFile, origin_of
 from manifold.formats.recognition import is_library
@@ -30,9 +31,6 @@ def require_outside_libraries(path: Path, *, into: bool = False) -> None:
             f"{path}: in the library {libraries[-1]}, which other files would damage; name another path"
         )
 
-
-DEFAULT_TOLERANCE = 0.2
-"""Mean CIEDE2000 of the ball that a compact material may differ by."""
 
 _MOST_BYTES = 1 << 60  # largest size of a material; more is damage
 
@@ -186,7 +184,7 @@ def require_tolerance(tolerance: float) -> None:
     """Raise UsageError unless the tolerance of compact materials is a number above 0."""
     if not 0.0 < tolerance < np.inf:
         raise UsageError(
-            f"tolerance is {tolerance:g}, expected a number above 0, such as {DEFAULT_TOLERANCE}"
+            f"tolerance is {tolerance:g}, expected a number above 0, such as {COMPACT_TOLERANCE}"
         )
 
 

@@ -33,7 +33,7 @@ from manifold.core.names import printable
 from manifold.core.records import Array, BsdfFile
 from manifold.estimate.attributes import lab_of
 from manifold.estimate.gloss import gloss_units
-from manifold.formats.readings import DAYLIGHT
+from manifold.formats.readings import DAYLIGHT, GLOSS_ANGLES_DEG
 from manifold.formats.recognition import is_rendered
 from manifold.io_rgl import read_bsdf
 from manifold.library.identity import alike, file_sha256, require_material_name
@@ -340,7 +340,7 @@ def _write_ball(path: Path, image: Array) -> None:
 
 
 def _look(brdf: EvaluableBRDF) -> dict[str, Any]:
-    units = {f"{angle:g}": value for angle, value in gloss_units(brdf).items()}
+    units = {f"{angle:g}": value for angle, value in gloss_units(brdf, GLOSS_ANGLES_DEG).items()}
     return {"lab": lab_of(brdf).tolist(), "viewing": f"{DAYLIGHT}, 45/0", "gloss": units}
 
 

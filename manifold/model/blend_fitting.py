@@ -22,8 +22,8 @@ from manifold.model.blending import blend_layout, scaled
 from manifold.model.colour_paths import ColourPaths, fit_paths, sample_rows
 from manifold.model.decoding import OF_BALL, appearance_weight, integrating_sphere, roots_at
 from manifold.model.landmarks import SIGNATURE, farthest_samples, landmark_layout, signatures
+from manifold.model.settings import COMPARED_BANDS
 
-_BANDS = 12  # bands in which materials are compared, evenly spaced
 _FLOOR = 1e-2  # 1/sr, added before logarithms: smaller values look black
 _BALL = 0.85  # share of the balls in the distance of two materials; the rest is that of the logarithms
 _PIXELS = 4  # of the balls in the lights of fits, every so many are compared
@@ -182,7 +182,7 @@ def evaluate(
     roots, inside = list[Floats](), [list[Floats]() for _ in spheres]
     reflectances = []
     for material in materials:
-        brdf = material.select_bands(evenly_spaced(material.bands.count, _BANDS).tolist())
+        brdf = material.select_bands(evenly_spaced(material.bands.count, COMPARED_BANDS).tolist())
         xyz = looks.xyz(np.maximum(values_at(brdf, looks), 0.0), brdf.bands)
         f = np.maximum(values_at(brdf, grid), 0.0)
         appearances.append((to_lab(xyz, white), (np.log(f + _FLOOR) * amplitude).ravel().astype(np.float32)))

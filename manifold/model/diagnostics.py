@@ -31,7 +31,9 @@ _LEFT_WALK = (
     "not the step of the walk, but the prediction on the line between both materials on the map, in the chosen colour; "
     "--lightness, --chroma and --hue change the colour of the step itself"
 )
-_SHOWN_WEIGHT = 0.005  # smallest weight that is printed, with two decimals
+SHOWN_WEIGHT = 0.005
+"""Smallest weight that is printed, with two decimals."""
+
 MOST_NEGATIVE = 0.005  # share of values, above which a prediction is diagnosed; one in a hundred is seen
 MOST_ALBEDO = 1.05  # measured materials reach a little above 1 too
 MOST_NON_RECIPROCAL = 0.5  # relative; measured materials reach 0.3, mirrors more
@@ -133,7 +135,7 @@ class DiagnosedPrediction(Result):
     @derived(row="made of", json=False)
     def weights_in_words(self) -> list[str]:
         """The materials with the largest weights."""
-        shown = [pair for pair in self.weights if abs(pair[1]) >= _SHOWN_WEIGHT] or self.weights[:1]
+        shown = [pair for pair in self.weights if abs(pair[1]) >= SHOWN_WEIGHT] or self.weights[:1]
         return [f"{name} {weight:.2f}" for name, weight in shown]
 
     nearest: list[tuple[str, float]] = field(

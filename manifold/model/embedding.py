@@ -14,6 +14,7 @@ import numpy as np
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.core import disk, progress, work
+from manifold.core.defaults import MOST_LAID_OUT
 from manifold.core.directions import from_spherical
 from manifold.core.errors import ManifoldError, UsageError
 from manifold.core.names import counted
@@ -35,7 +36,7 @@ from manifold.model.model_file import (
     restore,
     write_model,
 )
-from manifold.model.settings import MOST_LAID_OUT, BlendSettings, GplvmSettings, Settings
+from manifold.model.settings import BlendSettings, GplvmSettings, Settings
 
 _DEFAULTS = BlendSettings()
 _LIT_DEG = np.array([0.0, 45.0])

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from manifold.core.defaults import TINY
 from manifold.core.records import Array, Mask
 from manifold.core.threads import one_blas_thread
 from manifold.gp.nonnegative import nonnegative_weights
@@ -87,7 +88,6 @@ class Observation:
 
 _FITS = 2  # the second with the slopes, and the bounds, of the first
 _AT_ONCE = 16  # atoms that enter together
-_TOLERANCE = 1e-9  # least slope that counts, relative to the norm of the target
 
 
 def explain(
@@ -150,7 +150,7 @@ def _fit(
         cross[k] += of_prior
         size[k] += s @ of_prior
     norms = np.sqrt(np.maximum(square, np.finfo(float).tiny))
-    limit = _TOLERANCE * np.sqrt(size)
+    limit = TINY * np.sqrt(size)
     used, v = start > 0.0, np.zeros_like(start)
     unfinished = np.arange(len(y))
     while unfinished.size:

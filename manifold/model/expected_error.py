@@ -24,7 +24,7 @@ from manifold.model.decoding import appearance_pairs, roots_at
 from manifold.model.landmarks import LandmarkSearch, combined, farthest_samples
 from manifold.model.latent_space import LatentSpace, LeftOutSearch, require_shapes
 from manifold.model.materials import MaterialCache, MaterialTable
-from manifold.model.settings import Settings
+from manifold.model.settings import COMPARED_BANDS, Settings
 from manifold.registries import MAPPINGS
 
 LEAST_MATERIALS = 4
@@ -156,7 +156,6 @@ class Reliability:
         )  # fmt: skip
 
 
-_BANDS = 12  # bands in which errors are measured, evenly spaced, beside those of the samples
 # Arrays of files; those of 0.2.0 have errors in the studio alone, by "left_out_", and are not used.
 _PREFIX = "left_out_in_lights_"
 _ARRAYS = ("places", "ball", "cube_root", "residual", "materials", "panel")
@@ -338,7 +337,7 @@ def leave_out(
 
 def bands_of_errors(space: LatentSpace, n_bands: int) -> Indices:
     """Return the bands in which errors are measured: some, evenly spaced, and those of the samples."""
-    return np.union1d(evenly_spaced(n_bands, _BANDS), space.embedding_bands(n_bands))
+    return np.union1d(evenly_spaced(n_bands, COMPARED_BANDS), space.embedding_bands(n_bands))
 
 
 def coherence_of(

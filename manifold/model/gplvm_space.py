@@ -17,10 +17,9 @@ from manifold.model.decoding import decoder_at
 from manifold.model.gram import cached_gram
 from manifold.model.latent_space import Embedded, LatentSpace, LeftOutSearch, Statistics, require_shapes
 from manifold.model.materials import MaterialCache, MaterialTable
-from manifold.model.settings import GplvmSettings, Settings
+from manifold.model.settings import LEARNT_BANDS, GplvmSettings, Settings
 
 _SAME = 1e-2  # cube-root error below which a file is that material; compact libraries keep it by default
-_EMBEDDING_BANDS = 20  # bands of a whole material that serve to embed it, evenly spaced
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -68,7 +67,7 @@ class GplvmSpace(LatentSpace):
 
     def embedding_bands(self, n_bands: int) -> Indices:
         """Return the bands whose values are compared to find a latent: a few, evenly spaced."""
-        return evenly_spaced(n_bands, _EMBEDDING_BANDS)
+        return evenly_spaced(n_bands, LEARNT_BANDS)
 
     def samples(self, mapped: Array, cosines: Array) -> tuple[Array, Array]:
         """Return training samples from mapped values (N, B_e, P): a row holds all bands of a material."""

@@ -23,18 +23,16 @@ from manifold.core.names import names_like
 from manifold.core.records import Array, Bands, Indices, Mask, evenly_spaced, plain
 from manifold.gpr import GaussianProcess, LengthScaleBound
 from manifold.model.blend_space import BlendSpace
-from manifold.model.coherence import Pair
 from manifold.model.colours import NEAREST, UNCHOSEN, ChosenColour, ColourChoice, ReflectanceColours
 from manifold.model.combination import Combination
 from manifold.model.decoding import decoder_at
 from manifold.model.embedding import Embedding, LibraryChangedWarning
-from manifold.model.expected_error import bands_of_errors, coherence_of
 from manifold.model.gplvm_space import GplvmSpace
 from manifold.model.gram import Gram
 from manifold.model.landmarks import LandmarkSearch, SamplesOnDemand
 from manifold.model.latent_space import Embedded, fixed_colours
 from manifold.model.map import map_svg
-from manifold.model.materials import MaterialCache, MaterialTable
+from manifold.model.materials import MaterialCache
 from manifold.model.places import (
     Place,
     PlaceLike,
@@ -131,13 +129,6 @@ class Manifold(Embedding):
     def pictured(self) -> Indices:
         """The materials that a picture shows with ball and name: all, or 80 of the landmarks, which cover the map."""
         return self.landmarks if self.space.landmarks is None else self.landmarks[:_PICTURED]
-
-    @cached_property
-    def neighbour_pairs(self) -> list[Pair]:
-        """Each material with the one that looks most like it; of a map that lays out all of them."""
-        bands = bands_of_errors(self.space, self.bands.count)
-        table = MaterialTable(self.materials.with_negative_values(), bands)
-        return coherence_of(self.space, table, self.mapping)[1]
 
     @property
     def gp(self) -> GaussianProcess:

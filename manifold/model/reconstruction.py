@@ -13,6 +13,7 @@ from manifold.analytic.free_lobes import Lobes
 from manifold.brdf.interface import BRDF, all_isotropic, require_values
 from manifold.brdf.measured import values_at
 from manifold.colour import panel
+from manifold.core.defaults import TINY
 from manifold.core.errors import UsageError
 from manifold.core.mapping import Identity
 from manifold.core.pairs import Pairs
@@ -24,12 +25,10 @@ from manifold.model.combination import Combination, Dictionary
 from manifold.model.estimator import LEAST, Observation, explain
 from manifold.model.materials import MaterialCache
 from manifold.model.prediction import PredictedBRDF
+from manifold.model.settings import LEARNT_BANDS
 
 DICTIONARY = Dictionary((1.0, 2.0 / 3.0, 1.0 / 3.0), Lobes(soft_degree=4))
 """Atoms of reconstructions: roots of samples have the broader lobes that sums of values lack."""
-
-MAX_BANDS = 20
-"""In which weights of few atoms are found."""
 
 _SAMPLES_AT_ONCE = 300  # materials among which weights are found together
 _OF_VALUES = 0.25  # how much the squared error of values counts beside that of pixels
@@ -59,13 +58,13 @@ class ComparedValues:
 
         Atoms are rows of `of_atoms`, the last of which are the lobes of `DICTIONARY`.
 
-        There are as many as it takes, or at most so many numbers, see `few_atoms`, of `MAX_BANDS` bands, between which
-        weights are linear.
+        There are as many as it takes, or at most so many numbers, see `few_atoms`, of `LEARNT_BANDS` bands, between
+        which weights are linear.
         """
         material = self.of(brdf)
         if numbers is None:
             return explain(observations(atoms, material, self.pixel_weights))
-        bands = evenly_spaced(len(material), MAX_BANDS)
+        bands = evenly_spaced(len(material), LEARNT_BANDS)
         lambertian = len(atoms) - len(DICTIONARY.lobes)
         found = few_atoms(observations(atoms, material[bands], self.pixel_weights), numbers, lambertian)
         weights = np.zeros((len(material), len(atoms)))
@@ -155,7 +154,6 @@ def reconstruct(
 _CANDIDATES = 40  # atoms of either sort, those of largest slope, that are tried each time
 _SWEEPS = 4
 _FEW = 6  # terms, of which pairs are exchanged, too
-_LEAST_GAIN = 1e-9  # least decrease of the relative squared error
 
 
 def few_atoms(bands: Sequence[Observation], numbers: int, lambertian: int) -> Array:
@@ -218,7 +216,7 @@ class _NumberSearch:
                 (error - e) / self._cost(each[-1]) ** power
                 for each, (_, e) in zip(tried, solved, strict=True)
             ]
-            if not gains or max(gains) < _LEAST_GAIN:
+            if not gains or max(gains) < TINY:
                 return terms, error
             best = int(np.argmax(gains))
             terms, (weights, error) = tried[best], solved[best]

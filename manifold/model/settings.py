@@ -7,18 +7,27 @@ from dataclasses import dataclass, field
 from numbers import Integral
 from typing import Any, ClassVar, Self
 
-from manifold.core.defaults import DEFAULT_MU
+from manifold.core.defaults import (
+    DEFAULT_GRID,
+    DEFAULT_KERNEL,
+    DEFAULT_LENGTH_SCALE,
+    DEFAULT_MAPPING,
+    DEFAULT_MU,
+    DEFAULT_OPTIMIZER,
+    DEFAULT_PRIOR,
+    LANDMARKS,
+    MOST_LAID_OUT,
+)
 from manifold.core.errors import UsageError
 from manifold.core.pairs import RusinkiewiczGrid
 from manifold.gp.kernels import Kernel, kernel_named, require_mu
 from manifold.gp.likelihood import require_prior
 from manifold.registries import MAPPINGS, OPTIMIZERS
 
-MOST_LAID_OUT = 300
-"""Number of materials up to which a map of blends lays out all of them; the GPLVM takes no more."""
-_LANDMARKS = 150
 SAMPLE_BANDS = 5
-"""Largest number of bands per material in colour paths and reconstructions."""
+"""Largest number of bands per material that are samples or atoms: in colour paths, reconstructions and completions."""
+COMPARED_BANDS, LEARNT_BANDS = 12, 20
+"""Largest numbers of bands, evenly spaced, in which materials are compared, and which methods learn from."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +41,7 @@ class Settings(ABC):
     """
 
     latent_dim: int = 2
-    length_scale: float = field(default=1.0, kw_only=True)
+    length_scale: float = field(default=DEFAULT_LENGTH_SCALE, kw_only=True)
     kind: ClassVar[str]
 
     def __new__(cls, *args: Any, **options: Any) -> Self:
@@ -102,7 +111,7 @@ class BlendSettings(Settings):
         """Return how many of `materials` materials are laid out as landmarks."""
         if self.landmarks is not None:
             return min(self.landmarks, materials)
-        return materials if materials <= MOST_LAID_OUT else _LANDMARKS
+        return materials if materials <= MOST_LAID_OUT else LANDMARKS
 
 
 @dataclass(frozen=True)
@@ -119,12 +128,12 @@ class GplvmSettings(Settings):
         as_published: follow Hikichi & Iwasaki to the letter, see `published`.
     """
 
-    mapping: str = "cube-root"
-    optimizer: str = "dls"
+    mapping: str = DEFAULT_MAPPING
+    optimizer: str = DEFAULT_OPTIMIZER
     mu: float = DEFAULT_MU
-    prior: float = 0.0
-    kernel: str = "se"
-    grid: str = "default"
+    prior: float = DEFAULT_PRIOR
+    kernel: str = DEFAULT_KERNEL
+    grid: str = DEFAULT_GRID
     as_published: bool = False
     kind: ClassVar[str] = "gplvm"
 

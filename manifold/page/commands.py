@@ -21,10 +21,9 @@ from manifold.core.errors import UsageError
 from manifold.core.extras import require
 from manifold.estimate.sightings import PhotoRequest
 from manifold.estimate.sources import FileSource, PlaceSource
-from manifold.formats.recognition import FIT_SUFFIX
 from manifold.model.colours import ColourChoice
 from manifold.model.places import parse_walk
-from manifold.registries import TARGETS, Registry
+from manifold.registries import FIT_SUFFIX, TARGETS, Registry
 
 Request = Mapping[str, Any]
 

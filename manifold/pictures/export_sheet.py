@@ -11,10 +11,10 @@ import numpy as np
 
 from manifold.brdf.interface import EvaluableBRDF
 from manifold.brdf.notebook import ball_image, sun_image
+from manifold.colour.panel import SUN_DEG
 from manifold.core.records import Array, Mask
 from manifold.pictures import figures
 
-SUN_DEG = 45.0
 # Rings and spokes of a ball in the studio: fewer leave streaks on matt materials.
 _PIXELS, _RINGS, _SPOKES = 112, 32, 32
 _MARGIN = 0.05  # around a ball, in its diameters

@@ -19,7 +19,9 @@ from manifold.brdf.notebook import ball_image, sun_image
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour import panel
 from manifold.colour.conversion import file_to_srgb
+from manifold.colour.panel import SUN_DEG
 from manifold.core import disk
+from manifold.core.defaults import SHADER_TOLERANCE
 from manifold.core.errors import UsageError
 from manifold.core.judged_lights import BALL, BALL_COLUMN, LIGHTS
 from manifold.core.metrics import Errors
@@ -27,10 +29,11 @@ from manifold.core.records import BsdfFile
 from manifold.estimate.inputs import Input
 from manifold.estimate.source_files import read_source
 from manifold.estimate.sources import FileSource, MaterialSource
-from manifold.formats.recognition import FIT_SUFFIX, is_fit
+from manifold.formats.recognition import is_fit
 from manifold.many.batch import Batch, BatchCommand, Content, Outcome, make_folder
 from manifold.model.output_file import FINE_OPTIONS
 from manifold.pictures import html_page
+from manifold.registries import FIT_SUFFIX
 from manifold.render import images
 from manifold.render.fitted_brdf import FittedBRDF
 from manifold.shader import code, ktx2
@@ -41,13 +44,12 @@ from manifold.shader.table import SUMS, ShaderTable, Shape, shapes_of, tabulate
 
 TARGET = "shader"
 """The word of `manifold export --target`."""
-DEFAULT_TOLERANCE = 0.3
 MOST_BYTES = 1 << 20
 """Bytes of a texture."""
 
 LAYOUT, TEXTURE, CODE, PAGE = "manifold.json", "manifold.ktx2", "manifold", "index.html"
 PICTURE, BALLS = "manifold.png", "balls.png"
-_PACK_PIXELS, _PACK_SUN_DEG = 64, 45.0
+_PACK_PIXELS = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +74,7 @@ class Shader:
 
 
 def make_shader(
-    file: BsdfFile, material: EvaluableBRDF | None = None, *, tolerance: float = DEFAULT_TOLERANCE
+    file: BsdfFile, material: EvaluableBRDF | None = None, *, tolerance: float = SHADER_TOLERANCE
 ) -> Shader:
     """Return the smallest table within a tolerance, in CIEDE2000 of the ball (mean of the judged lights).
 
@@ -136,7 +138,7 @@ def read_material(source: MaterialSource) -> tuple[BsdfFile, EvaluableBRDF | Non
 
 
 def export(
-    source: MaterialSource, folder: Path, *, tolerance: float = DEFAULT_TOLERANCE, with_picture: bool = False,
+    source: MaterialSource, folder: Path, *, tolerance: float = SHADER_TOLERANCE, with_picture: bool = False,
     prefix: str | None = None,
 ) -> Outcome[MaterialSource]:  # fmt: skip
     """Write the table, the code in all languages, the layout and the page of a material into a folder.
@@ -249,7 +251,7 @@ def _layout(
 def _write_balls(path: Path, shader: Shader) -> None:
     """Draw four balls side by side: the source and the shader in the studio, then both under a sun."""
     parts = []
-    for draw in (ball_image, partial(sun_image, degrees=_PACK_SUN_DEG)):
+    for draw in (ball_image, partial(sun_image, degrees=SUN_DEG)):
         for brdf in (shader.source, shader.table):
             shown, inside = draw(brdf, size=_PACK_PIXELS)
             parts.append(np.where(inside[..., None], shown, 0.12))
@@ -271,7 +273,7 @@ def _write_index(made: Batch[Input]) -> None:
             )
     intro = (
         "Each picture: source, shader; source, shader. Left in the studio, right under a sun "
-        f"{_PACK_SUN_DEG:.0f} degrees beside the view. CIEDE2000 of the ball between the two, in the mean of "
+        f"{SUN_DEG:.0f} degrees beside the view. CIEDE2000 of the ball between the two, in the mean of "
         f"{LIGHTS}, and in the worst; size of the texture."
     )
     title = f"{len(cards)} measured materials as shaders"

@@ -14,6 +14,7 @@ from itertools import combinations
 import numpy as np
 
 from manifold.brdf.interface import EvaluableBRDF
+from manifold.brdf.unmeasured_cells import STEEPEST
 from manifold.colour.conversion import luminance
 from manifold.core.directions import from_spherical, normalize
 from manifold.core.records import Array
@@ -26,7 +27,6 @@ LEAST_COSINE = 0.05
 
 _POINTS = 15  # a side of the square of variates, at which each candidate is sampled for the choice
 _STEPS = 60  # of the weights' iteration; later ones change the variance by less than a percent
-_STEEPEST_DEG = 85.0  # incidences beyond it have the weights of the last one before: files extrapolate there
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ def fit_lobes(brdf: EvaluableBRDF, theta_i_rad: Array) -> Lobes:
     for each pair of roughnesses; the pair with the smallest sum of the logarithms is taken.
     """
     theta = np.asarray(theta_i_rad, float)
-    fitted = theta[theta <= np.deg2rad(_STEEPEST_DEG)]
+    fitted = theta[theta <= STEEPEST]
     fitted = fitted if len(fitted) else theta[:1]
     parts = [_moments(brdf, float(angle)) for angle in fitted]
     best, chosen = np.inf, (ALPHAS[0], ALPHAS[-1], np.zeros((len(fitted), 3)))

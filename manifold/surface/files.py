@@ -21,6 +21,7 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.conversion import encode_srgb
 from manifold.colour.reflectances import spectral_changes
 from manifold.core import disk
+from manifold.core.defaults import SURFACE_TARGETS
 from manifold.core.errors import UsageError
 from manifold.core.judged_lights import BALL_COLUMN
 from manifold.core.progress import Stages
@@ -34,16 +35,13 @@ from manifold.formats.readings import Readings
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.many.batch import only_run_in
-from manifold.registries import TARGETS as EXPORTS
+from manifold.registries import TARGETS
 from manifold.render.images import write_display, write_image
 from manifold.surface import preview
 from manifold.surface.estimate import Surface, brightest, estimate_surface
 from manifold.surface.lamp_pictures import SurfacePictures
 from manifold.surface.sparkle import DrawnFlakes, Flakes, Sparkle, sparkle_of
 from manifold.surface.tiling import Textures, tile
-
-TARGETS = ("gltf", "openpbr", "usd", "blender")
-"""Targets of exports that are written by default."""
 
 _COAT_IORS = ("coat_ior", "coat ior")
 _FEW_CUT = 0.005  # share of points that nobody misses
@@ -215,7 +213,7 @@ def make_surface(
     *,
     name: str | None = None,
     size: int = 1024,
-    targets: Sequence[str] = TARGETS,
+    targets: Sequence[str] = SURFACE_TARGETS,
     mm_per_pixel: float | None = None,
 ) -> SurfaceFiles:
     """Write the surface of a specimen into a folder, as textures and as materials of engines.
@@ -305,7 +303,7 @@ def write_surface(
 
 def require_textured(targets: Sequence[str]) -> None:
     """Raise UsageError if a target takes no textures."""
-    textured = [name for name, target in EXPORTS.items() if target.textures]
+    textured = [name for name, target in TARGETS.items() if target.textures]
     if unknown := [name for name in targets if name not in textured]:
         raise UsageError(f"found the target {unknown[0]!r}, expected one of {', '.join(textured)}")
 
@@ -326,7 +324,7 @@ def _paths(
     }  # fmt: skip
     for target in targets:
         endings |= {
-            target: f"_{target}{EXPORTS[target].suffix}", f"{target}_base": f"_{target}_base.png",
+            target: f"_{target}{TARGETS[target].suffix}", f"{target}_base": f"_{target}_base.png",
             f"{target}_coat": f"_{target}_coat.png",
         }  # fmt: skip
     paths = {kind: folder / f"{stem}{ending}" for kind, ending in (endings | {"numbers": ".json"}).items()}
@@ -343,7 +341,7 @@ def _kinds_of(name: str, flakes: DrawnFlakes | None) -> set[str]:
 
 
 def _shows_flakes(name: str, flakes: DrawnFlakes | None) -> bool:
-    return flakes is not None and "coat_normal" in EXPORTS[name].textures
+    return flakes is not None and "coat_normal" in TARGETS[name].textures
 
 
 def _write_textures(
@@ -417,7 +415,7 @@ def write_exports(
     subject = exporting.subject_of(paths["mean"])
     balls = {}
     for name in targets:
-        target = EXPORTS[name]
+        target = TARGETS[name]
 
         def write_files(values: Mapping[str, Any], name: str = name, target: Target = target) -> TextureFiles:
             base = np.asarray(values[target.base_colour])

@@ -17,7 +17,6 @@ _PER = 1e4  # pixels that densities are counted by
 _LARGEST_GLINT_PX = 40.0  # area; what is larger is relief, or dust
 _MOST_SPREAD = 0.7  # of slopes: lamps within 50 degrees tell no more
 _ALPHAS = (0.03, 0.5)  # range of GGX alpha of a flake
-_REFLECTANCES = (0.001, 0.9)
 _ROOTS = (0.51, 0.95)  # range of q / (1 + q)
 _LEAST_SEEN = 0.02  # of the square of the radius, in alphas, in which flakes glint
 _MOST_COVERED = 0.3  # share of the pixels
@@ -189,7 +188,7 @@ def _flakes(
     alpha = max(alpha, np.sqrt(shown * size_px / (_PER * _MOST_COVERED)))
     white = float(np.nanmedian(pictures.factors)) if np.isfinite(pictures.means).any() else 1.0
     reflectance = 4.0 * alpha**2 * threshold * q**2 * typical / white
-    return Flakes(shown / alpha**2, size_px, spread, alpha, float(np.clip(reflectance, *_REFLECTANCES)))
+    return Flakes(shown / alpha**2, size_px, spread, alpha, min(float(reflectance), 1.0))
 
 
 def _spread(halves: Array, density: Array) -> float:

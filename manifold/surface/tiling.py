@@ -27,7 +27,7 @@ _EDGE_DIFFERENCE = 0.12  # of the median brightness of a row or column from the 
 _DUST = 6.0  # robust standard deviations of smoothed colour
 _ALIKE = 4.0  # of spots that are compared with dust
 _DUST_PX = 2.0  # standard deviation of that smoothing
-_LEAST_DUST_PX, _MOST_DUST_PX = 12, 1024  # area; what is larger is a part of the sample
+_MOST_DUST_PX = 1024  # area; what is larger is a part of the sample
 _FEW = 3  # spots of a colour, fewer than which do not tell how frequent they are
 _SAME_DIRECTION, _SAME_STRENGTH = 0.9, 0.4  # of differences from the sample's colour: cosine, and ratio
 _HEALED_PX = 4  # around dust, in which what replaces it is blended
@@ -158,7 +158,7 @@ def _spots(differences: Array, threshold: float) -> tuple[Indices, Indices, Arra
     labels, _ = label(np.any(np.abs(differences) > threshold, axis=-1))
     areas = np.bincount(labels.ravel())
     areas[0] = 0
-    spots = np.flatnonzero(areas >= _LEAST_DUST_PX)
+    spots = np.flatnonzero(areas >= np.pi * _DUST_PX**2)  # smaller ones are noise that was smoothed
     sums = [np.bincount(labels.ravel(), channel.ravel()) for channel in np.moveaxis(differences, -1, 0)]
     return labels, spots, np.stack(sums, axis=-1)[spots] / areas[spots, None]
 

@@ -34,7 +34,7 @@ from manifold.estimate.coat import ColourSample, read_colours, with_gloss
 from manifold.estimate.edits import own_values
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.predictions import predict
-from manifold.formats.readings import Readings, Viewing
+from manifold.formats.readings import GLOSS_ANGLES_DEG, Readings, Viewing
 from manifold.io_rgl import read_bsdf
 from manifold.model.colours import ColourChoice
 from manifold.model.manifold import Manifold
@@ -214,7 +214,7 @@ def test_another_gloss_is_another_coat_over_the_same_base(before, after, rng):
     def paint(alpha):
         return Plastic(GGX.isotropic(alpha), np.array(1.5), np.array([0.4, 0.5, 0.6]), Bands(None))
 
-    made, wanted = with_gloss(paint(before), gloss_units(paint(after))), paint(after)
+    made, wanted = with_gloss(paint(before), gloss_units(paint(after), GLOSS_ANGLES_DEG)), paint(after)
     wi, wo = (from_spherical(rng.uniform(0.0, 1.2, 200), rng.uniform(0.0, 6.28, 200)) for _ in range(2))
     np.testing.assert_allclose(np.cbrt(made.eval(wi, wo)), np.cbrt(wanted.eval(wi, wo)), rtol=0.02)
     np.testing.assert_allclose(made.eval(wo, wi), made.eval(wi, wo), rtol=1e-9)

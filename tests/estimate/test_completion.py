@@ -31,16 +31,18 @@ from manifold.core.records import Bands
 from manifold.estimate import Completion, calibrate, expected, suggest
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.channels import in_channels, srgb_responses
+from manifold.estimate.completions import NextStep, advise
 from manifold.estimate.completions import _of_unit as of_unit
-from manifold.estimate.completions import advise
 from manifold.estimate.evidence import Evidence, for_library, in_all_bands
 from manifold.estimate.expected import Calibration, errors_of, leave_out, plausible_errors
 from manifold.estimate.left_out_readings import left_out_readings
 from manifold.estimate.mixtures import (
     COATED,
     LIKE_ONE,
+    SHARES,
     Alike,
     ReadingRoots,
+    atom_pairs,
     band_mixtures,
     log_prior_of,
     material_prior,
@@ -154,6 +156,17 @@ def test_a_material_of_the_library_is_likelier_than_a_mixture_of_two_that_reads_
     assert found.probability[3] / found.probability[both].sum() == pytest.approx(
         0.8 / 15 / (0.2 / 36), rel=1e-6
     )
+
+
+def test_large_libraries_mix_some_pairs_of_materials_and_all_bands_of_each():
+    first, second, share = atom_pairs(200, 3)
+    is_pair = (share == SHARES[0]) & (first // 3 != second // 3)
+    assert np.count_nonzero(is_pair) == 40_000  # of 179,100
+    assert len(set(zip(first[is_pair].tolist(), second[is_pair].tolist(), strict=True))) == 40_000
+    assert len(np.unique(np.concatenate([first[is_pair], second[is_pair]]))) == 600
+    own = (share == SHARES[0]) & (first // 3 == second // 3)
+    assert np.count_nonzero(own) == 200 * 3
+    assert np.count_nonzero(share == 1.0) == 600
 
 
 def test_priors_of_mixtures_are_those_of_their_materials():
@@ -775,19 +788,29 @@ def test_an_albedo_above_1_of_values_without_a_unit_asks_for_the_unit(unit, albe
 
 
 @pytest.mark.parametrize(
-    ("fault", "unit", "begins"),
+    ("fault", "unit", "step", "begins"),
     [
-        (None, None, "use it"),
-        (None, "a BRDF in 1/sr", "use it if the values are a BRDF in 1/sr"),
-        ("albedo 2.21; check the unit", "a BRDF in 1/sr", "do not use it: albedo 2.21"),
+        (None, None, NextStep.EXPORT, "use it"),
+        (None, "a BRDF in 1/sr", NextStep.EXPORT, "use it if the values are a BRDF in 1/sr"),
+        (
+            "albedo 2.21; check the unit", "a BRDF in 1/sr", NextStep.CHECK_OBSERVATIONS,
+            "do not use it: albedo 2.21",
+        ),
     ],
-)
-def test_a_completion_in_doubt_is_not_simply_to_be_used(fault, unit, begins):
+)  # fmt: skip
+def test_a_completion_in_doubt_is_not_simply_to_be_used(fault, unit, step, begins):
     sure = Errors(ball=0.5, cube_root=0.05, near_mirror=0.05, elsewhere=0.05)
-    said = advise(sure, None, fault=fault, unit=unit)
+    advised, said = advise(sure, None, fault=fault, unit=unit)
+    assert advised is step
     assert said is not None
     assert said.startswith(begins)
     assert (said == "use it") == (fault is None and unit is None)
+
+
+@pytest.mark.parametrize("large", [{"near_mirror": 0.9}, {"near_mirror": 0.9, "elsewhere": 0.9}])
+def test_large_expected_errors_ask_for_more_readings(large):
+    errors = Errors(**({"ball": 9.0, "cube_root": 0.9, "near_mirror": 0.05, "elsewhere": 0.05} | large))
+    assert advise(errors, None).step is NextStep.READ_MORE
 
 
 def test_readings_darker_than_all_materials_ask_for_their_unit(atoms):
@@ -826,19 +849,19 @@ def test_many_readings_or_one_are_not_left_out_in_turn(atoms):
 
 
 @pytest.mark.parametrize(
-    ("advice", "suggested", "next_step"),
+    ("step", "suggested", "next_step"),
     [
-        ("use it", None, "manifold export a.bsdf -o a.glb"),
-        ("use it if the values are per cent (--unit)", None, "manifold export a.bsdf -o a.glb"),
-        ("do not use it for highlights", None, "manifold complete a.csv --suggest 3"),
-        ("do not use it for highlights", object(), "measure the directions below"),
-        ("do not use it: albedo 2; check the unit of the readings (--unit)", None, None),
+        (NextStep.EXPORT, None, "manifold export a.bsdf -o a.glb"),
+        (NextStep.READ_MORE, None, "manifold complete a.csv --suggest 3"),
+        (NextStep.READ_MORE, object(), "measure the directions below"),
+        (NextStep.CHECK_OBSERVATIONS, None, None),
     ],
 )
-def test_the_next_step_follows_from_the_advice(capsys, advice, suggested, next_step):
+def test_the_next_step_follows_from_the_advice(capsys, step, suggested, next_step):
     made = SimpleNamespace(
-        summary={"advice": advice}, path=Path("a.bsdf"), suggested=suggested, diagnostics=tuple("abcdef")
-    )
+        summary={"advice": "in words"}, next_step=step, path=Path("a.bsdf"), suggested=suggested,
+        diagnostics=tuple("abcdef"),
+    )  # fmt: skip
     show_completed(terminal.Results(), made, None, [Path("a.csv")])
     out = capsys.readouterr().out
     assert (next_step is None and "  next " not in out) or f"next        {next_step}" in out

@@ -12,6 +12,8 @@ from helpers.readings import DIRECTIONS, readings
 from helpers.small_library import NAMES
 from scipy.integrate import dblquad
 
+from manifold.analytic.ggx import GGX
+from manifold.analytic.microfacet import Plastic
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility
 from manifold.colour import panel
@@ -19,6 +21,7 @@ from manifold.core.errors import FileFormatError, ShapeError, UsageError
 from manifold.core.metrics import Errors
 from manifold.core.records import Bands
 from manifold.estimate import Completion, calibrate, completions
+from manifold.estimate.coat import coat_of
 from manifold.estimate.completions import Completed, parse_gloss
 from manifold.estimate.expected import errors_of, leave_out
 from manifold.estimate.gloss import gloss_meter, gloss_units, value_of_unit
@@ -109,12 +112,30 @@ def test_gloss_tells_apart_what_readings_cannot(atoms):
 @pytest.mark.parametrize("name", NAMES)
 def test_the_gloss_of_a_completion_is_near_the_one_read(atoms, library, name):
     brdf = MeasuredBRDF(Library.open(library).read(name))
-    gloss = gloss_units(brdf)
+    gloss = gloss_units(brdf, GLOSS_ANGLES_DEG)
     made = Completion.of(atoms, readings(brdf.eval(*DIRECTIONS), gloss=gloss))
     assert list(made.gloss) == list(gloss)
     for angle, units in gloss.items():
         assert made.gloss[angle] == pytest.approx(units, rel=0.15)
     assert not any("mirror direction" in note for note in made.notes)
+
+
+def test_the_order_of_gloss_readings_does_not_matter(atoms, rng):
+    read = readings(rng.random((12, 3)) + 0.1, gloss={20: 3.0, 60: 14.0, 85: 40.0})
+    made, turned = (
+        Completion.of(atoms, one) for one in (read, replace(read, gloss=dict(reversed(read.gloss.items()))))
+    )
+    assert turned.gloss_misfits == pytest.approx(made.gloss_misfits, rel=1e-6)
+    np.testing.assert_allclose(turned.on_grid, made.on_grid, rtol=1e-6)
+
+
+@pytest.mark.parametrize("angle", GLOSS_ANGLES_DEG)
+def test_a_coat_has_the_gloss_that_was_asked_for_at_its_angle(angle):
+    """Other angles have other units, so gloss taken at a default angle would miss."""
+    wanted = gloss_units(Plastic(GGX.isotropic(0.1), np.array(1.5), np.full(3, 0.1), Bands(None)), [angle])
+    coat, alpha = coat_of(np.array([40.0, 10.0, 20.0]), wanted, Bands(None))
+    assert gloss_units(coat, [angle])[angle] == pytest.approx(wanted[angle], rel=0.05)
+    assert alpha == pytest.approx(0.1, rel=0.1)
 
 
 def test_gloss_is_compared_in_the_luminance_of_each_hypothesis():
@@ -136,7 +157,7 @@ def test_gloss_of_zero_dims_highlights_and_negative_gloss_is_refused(atoms, rng)
     ):
         replace(read, gloss={60: -1.0})
     made = Completion.of(atoms, read)
-    assert made.gloss == pytest.approx(gloss_units(made.brdf))
+    assert made.gloss == pytest.approx(gloss_units(made.brdf, GLOSS_ANGLES_DEG))
     assert Completion.of(atoms, replace(read, gloss={60: 0.0})).gloss[60] < gloss_units(made.brdf, [60])[60]
 
 

@@ -18,6 +18,7 @@ from manifold.colour.conversion import encode_srgb, interpolation_matrix
 from manifold.colour.lights import environment
 from manifold.colour.picture_files import read_picture
 from manifold.core.directions import from_spherical
+from manifold.core.errors import UsageError
 from manifold.core.records import Bands
 from manifold.estimate import completions, descriptions, photographs, sightings
 from manifold.estimate.attributes import lab_of
@@ -257,6 +258,20 @@ def test_names_of_pictures_are_no_formulas(name, tmp_path):
     figure = photographs.residual_figure([name], [ball], [ball], [np.zeros((8, 8))])
     figures.save(figure, tmp_path / "residuals.png")
     assert (tmp_path / "residuals.png").stat().st_size > 0
+
+
+def test_the_light_of_a_picture_without_the_lamp_is_subtracted(folder, tmp_path):
+    lit = read_picture(folder / "ball.exr").values
+    write_image(tmp_path / "both.exr", lit + 0.05)
+    write_image(tmp_path / "off.exr", np.full_like(lit, 0.05))
+    request = sightings.PhotoRequest(
+        [tmp_path / "both.exr"], ["studio"], ["64,64,49.2"], distance=8.0, dark=tmp_path / "off.exr"
+    )
+    (ball,) = sightings.see(request)
+    np.testing.assert_allclose(ball.photograph.values, lit, atol=1e-3 * lit.max())  # of half floats
+    write_image(tmp_path / "small.exr", lit[:-8, :-8])
+    with pytest.raises(UsageError, match=r"small\.exr: of another size than the photographs"):
+        sightings.see(replace(request, dark=tmp_path / "small.exr"))
 
 
 def test_an_estimated_exposure_is_said_and_does_not_change_the_photograph_that_is_shown(

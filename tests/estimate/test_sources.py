@@ -24,6 +24,7 @@ from manifold.estimate.gloss import gloss_units
 from manifold.estimate.source_files import read_source, source_file
 from manifold.estimate.sources import FileSource, LibrarySource, PlaceSource, parse_source
 from manifold.formats import registry
+from manifold.formats.readings import GLOSS_ANGLES_DEG
 from manifold.gp.encoding import encoding_pairs
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.store import Library
@@ -276,7 +277,7 @@ def test_errors_of_a_projected_file_are_those_of_what_was_written(folder, monkey
     completed = completions.complete(library, readings, path, options=options)
     written, found = MeasuredBRDF(read_bsdf(path)), completed.completion
     np.testing.assert_array_equal(found.predicted, written.eval(found.readings.wi, found.readings.wo))
-    assert found.gloss == gloss_units(written)
+    assert found.gloss == gloss_units(written, GLOSS_ANGLES_DEG)
     assert completed.residual == found.residual_of_readings
 
 

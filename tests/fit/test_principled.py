@@ -10,7 +10,7 @@ from helpers.real_materials import real_materials
 from helpers.small_library import measured
 
 from manifold.analytic.ggx import GGX
-from manifold.analytic.microfacet import RoughConductor
+from manifold.analytic.microfacet import Plastic, RoughConductor
 from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import fill_unmeasured
@@ -22,7 +22,7 @@ from manifold.core.pairs import RusinkiewiczGrid
 from manifold.core.records import Bands
 from manifold.fit import fit_samples
 from manifold.fit.adam_and_swarm import AdamOptions, SwarmOptions
-from manifold.fit.fit_metrics import METRICS, Criterion, Metric, best_diffuse
+from manifold.fit.fit_metrics import METRICS, Criterion, Metric, best_diffuse, missed_highlight
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.gauss_newton import GaussNewton, Minimum, select_minima
 from manifold.fit.identifiability import AMBIGUOUS, DETERMINED, UNSEEN
@@ -436,6 +436,15 @@ def test_a_highlight_that_the_model_lacks_is_said():
         base, peaks = np.array([0.4, 0.4, 0.4]) / np.pi, ((0.4, 0.05),)
 
     assert not any("missed" in note for note in fit_bsdf(Grey()).notes)
+
+
+@pytest.mark.parametrize(("reflectances", "alphas"), [((0.2, 0.6), (0.2, 0.2)), ((0.2, 0.2), (0.2, 0.22))])
+def test_a_highlight_is_not_missed_where_all_differs_or_none_is_seen_to(reflectances, alphas):
+    fitted, material = (
+        Plastic(GGX.isotropic(alpha), np.array(1.5), np.full(3, reflectance), Bands(None))
+        for reflectance, alpha in zip(reflectances, alphas, strict=True)
+    )
+    assert missed_highlight(fitted, material) is None
 
 
 def test_samples_alone_have_no_ball_and_are_fitted_in_cube_roots():

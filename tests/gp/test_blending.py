@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import reference
+from helpers.places import inside_hull
 from helpers.small_library import NAMES, measured, small_library
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -26,7 +27,6 @@ from manifold.model.blending import (
     affinities,
     blend_layout,
     blend_weights,
-    inside_hull,
     scaled,
     widest_gap,
 )
@@ -72,6 +72,13 @@ def test_the_objective_is_the_divergence_of_similarities_from_affinities(rng):
     expected = -np.sum(p / N * np.log(q))
     found = LayoutObjective(others, p, np.arange(N), np.ones(N)).value(X)[0]
     np.testing.assert_allclose(found, expected, rtol=1e-8)  # affinities below 1e-9 are left out
+
+
+@pytest.mark.parametrize(("count", "perplexity"), [(100, 10.0), (25, 8.0), (6, 3.0), (3, 2.0)])
+def test_few_samples_keep_fewer_neighbours_but_three_where_there_are_as_many(rng, count, perplexity):
+    p = affinities(rng.uniform(0.1, 1.0, size=(count, count - 1)))
+    entropy = -np.sum(p * np.log(np.maximum(p, 1e-300)), axis=1)
+    np.testing.assert_allclose(np.exp(entropy), perplexity, rtol=1e-6)
 
 
 def test_affinities_have_one_perplexity_and_leave_out_what_is_infinitely_far(rng):

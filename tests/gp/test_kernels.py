@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from sklearn.base import clone
 
 from manifold.core.errors import UsageError
+from manifold.gp import kernels
 from manifold.gp.estimators import GPRegressor
 from manifold.gp.kernels import SquaredExponential, kernel_named
 from manifold.gplvm import GPLVM
@@ -86,3 +87,10 @@ def test_estimators_take_kernels_of_ones_own(rng):
         UsageError, match="expected a kernel's name, because a model file cannot store a class"
     ):
         GplvmSettings(kernel=Own)
+
+
+def test_a_kernel_that_is_registered_as_compiled_without_a_loop_is_refused(rng, monkeypatch):
+    """The compiled search would otherwise evaluate another kernel, and the fit would be wrong in silence."""
+    monkeypatch.setattr(kernels, "_COMPILED", (*kernels._COMPILED, Own))
+    with pytest.raises(ValueError, match="expected a kernel of `radial_of_pair`"):
+        GPLVM(optimizer="dls", kernel=Own).fit(rng.normal(size=(6, 4)))

@@ -12,6 +12,7 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
+from helpers.places import inside_hull
 from helpers.small_library import NAMES, measured, small_library
 from threadpoolctl import threadpool_info, threadpool_limits
 
@@ -80,7 +81,7 @@ def test_weights_sum_to_one_and_are_unit_at_the_materials(model):
 
 def test_weights_that_are_cut_are_invisible(library, monkeypatch, rng):
     model = Manifold.fit(library, BlendSettings(), calibrate=False)
-    places, lights, n_cut = blending.inside_hull(model.X, 12, rng) @ model.X, panel.judged(), 0
+    places, lights, n_cut = inside_hull(model.X, 12, rng) @ model.X, panel.judged(), 0
     for x in places:
         cut = model.predict(x).eval(lights.wi, lights.wo)
         n_used = np.count_nonzero(model.weights(x))

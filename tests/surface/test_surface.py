@@ -143,6 +143,32 @@ def test_glints_are_counted_under_the_lamps_that_show_them(rng):
     assert (clean.density, clean.flakes) == (0.0, None)
 
 
+def test_a_scratch_is_no_glint(rng):
+    pictures, _ = photographed(rng, 0.2 * truth(rng)[1])
+    values = pictures.values.copy()
+    values[3, 50:53, 60:160] *= 4.0
+    assert sparkle_of(estimate_surface(replace(pictures, values=values))).density == 0.0
+
+
+@pytest.mark.parametrize(
+    ("count", "strength", "gain"), [(400, 20.0, 1.0), (400, 2.5, 8.0), (1500, 20.0, 1.0)]
+)
+def test_flakes_are_possible_whatever_glints_are_counted(rng, count, strength, gain):
+    """Glints are as frequent under all lamps, rare under a lamp that is much brighter, or everywhere."""
+    pictures, _ = photographed(rng, 0.2 * truth(rng)[1])
+    values = pictures.values.copy()
+    for j in range(1, 5):
+        own = count // 10 if j == 2 and gain > 1.0 else count
+        rows, columns = rng.integers(5, 195, own), rng.integers(5, 235, own)
+        values[j, rows, columns] *= strength
+    values[2] *= gain
+    flakes = sparkle_of(estimate_surface(replace(pictures, values=values))).flakes
+    assert np.all(np.isfinite(list(vars(flakes).values())))
+    assert flakes.slope_std <= 0.7
+    assert flakes.density * flakes.size_px / 1e4 <= 0.3 + 1e-9
+    assert flakes.reflectance <= 1.0
+
+
 def test_flakes_are_drawn_as_many_as_large_and_as_tilted_as_they_are(rng):
     drawn = Flakes(density=40.0, size_px=9.0, slope_std=0.3, roughness=0.1, reflectance=0.04).drawn(512, rng)
     _, count = label(drawn.mask, structure=np.ones((3, 3)))
@@ -227,6 +253,25 @@ def test_a_single_speck_is_left_out_as_dust_and_noted_but_several_alike_and_larg
     assert textures.albedo.min() < 0.6  # the other spots are there
 
 
+@pytest.mark.parametrize(
+    ("speck", "others", "is_dust"),
+    [
+        ((0.2, 0.0, 0.0), (0.2, 0.0, 0.0), False),
+        ((0.16, 0.0, 0.0), (0.09, 0.0, 0.0), False),  # too faint to be dust, yet of that colour
+        ((1.0, 0.0, 0.0), (0.2, 0.0, 0.0), True),  # far fainter
+        ((0.8, 0.0, 0.0), (0.8, 0.6, 0.0), True),  # of another colour
+    ],
+)
+def test_a_speck_is_dust_unless_other_spots_are_about_as_strong_and_of_its_colour(
+    rng, speck, others, is_dust
+):
+    logs = 0.05 * rng.standard_normal((200, 240, 3))
+    logs[40:52, 60:72] += speck
+    for row, column in ((30, 200), (120, 40), (150, 180)):
+        logs[row : row + 12, column : column + 12] += others
+    assert bool(dust_in(logs)[46, 66]) == is_dust
+
+
 def test_textures_of_a_surface_have_normals_that_belong_to_their_heights(rng):
     _, slope = truth(rng)
     made = tile(estimate_surface(photographed(rng, slope)[0]), 256)
@@ -257,6 +302,8 @@ def test_shaded_edges_are_cropped_and_dust_is_found():
     albedo[:6] *= 0.5
     albedo[:, -3:] *= 1.4
     assert uncropped(albedo) == (slice(6, 200), slice(0, 237))
+    albedo[:60] *= 0.5
+    assert uncropped(albedo)[0].start == 25  # no shadow of an aperture is wider than an eighth of a side
     logs = 0.05 * np.random.default_rng(0).standard_normal((200, 240, 3))
     logs[100:108, 50:58] += 1.0
     dust = dust_in(logs)

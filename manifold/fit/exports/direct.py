@@ -22,7 +22,7 @@ from manifold.fit.fit_samples import FitSamples
 _PAIRS = 512
 _COAT, _COAT_ROUGHNESS = 0.3, 0.6  # of the second start: long tails come from a rough coat
 _EVALUATIONS = 40
-_STEP = 1.5e-8  # of differences
+_STEP = float(np.sqrt(np.finfo(float).eps))  # of differences
 _NONE = 2e-3  # a coat, a sheen or a film below this weight is none
 _GAIN = 0.8  # a film, curve or colour of a sheen that is kept lowers squared residual and difference below this share
 _FILM_WEIGHT, _FILM_IORS = 0.5, (1.3, 1.8)  # of its starts

@@ -1,4 +1,4 @@
-"""Commands about models: embed, predict, locate; and reconstruct, which needs none."""
+"""Commands about models: embed, predict and locate; and reconstruct, which needs no model."""
 
 from __future__ import annotations
 

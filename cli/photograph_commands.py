@@ -152,7 +152,7 @@ class PhotoOptions:
     ] = None
 
     def request_of(self, pictures: Sequence[Path]) -> PhotoRequest:
-        """Return what these options say of pictures. Raises UsageError if they contradict each other."""
+        """Return the request that these options make for pictures. Raises UsageError if they contradict each other."""
         from manifold.estimate.sightings import PhotoRequest
 
         if sum(map(bool, (self.light, self.lamp, self.light_ball))) != 1:
@@ -253,7 +253,7 @@ def photograph(
 
 
 def suggest_lamps(results: terminal.Results, library: Path, count: int) -> None:
-    """Print where to hold the lamp for the first pictures."""
+    """Print the suggested positions of the lamp for the first pictures."""
     from manifold.estimate.lamp_plan import plan_lamps
 
     with progress.shown("Leaving materials out"):
@@ -303,7 +303,7 @@ def show_completed(
 ) -> None:
     """Print a completed material: its rows, its report, the next command and the first notes.
 
-    The next command exports it, or suggests more readings if it is not to be used.
+    The next command exports the material or, if it should not be used yet, suggests more readings.
     """
     rows = completed.summary | ({} if report is None else {"report": report})
     assert completed.path is not None
@@ -336,7 +336,7 @@ def show_pictures(results: terminal.Results, made: Photographed) -> None:
 
 
 def show_plan(results: terminal.Results, plan: LampPlan, beside: str) -> None:
-    """Print where to hold a lamp."""
+    """Print the suggested positions of a lamp."""
     from manifold.core.judged_lights import LIGHTS
 
     heads = ("lamp from the camera", "ball", "colour", "gloss 60", "flop")

@@ -1,8 +1,8 @@
 """LightTools text `.bsdf`: blocks of `AOI`, `POI`, `Wavelength`, `TIS` and a table of azimuths x polar angles.
 
-Angles are in degrees about the normal. Synopsys' Mini-Diff writes such files, too. Where the incident direction lies
-relative to azimuth 0 differs between programs. A comment `# incidence at azimuth POI + 90`, as this module writes it,
-decides; without one it is found from the light's shadow or the highlight.
+Angles are in degrees about the normal. Synopsys' Mini-Diff also writes such files. Programs disagree on the azimuth
+of the incident direction. A comment `# incidence at azimuth POI + 90`, which this module writes, determines it;
+without one, it is found from the light's shadow or from the highlight.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _TELLING = 1.6  # factor by which a highlight stands out; retro-reflection has a
 
 
 def sniff(head: bytes) -> bool:
-    """Return whether a file's beginning has LightTools' keys: scatter angles, and incidence as AOI or none yet."""
+    """Return whether a file's beginning has LightTools' keys: scatter angles, and the key AOI or no incidence yet."""
     text = decode(head).lower()
     if not re.search(r"^\s*scatter_?(azimuth|radial)", text, re.MULTILINE):
         return False
@@ -218,8 +218,8 @@ def _peak(
 def write(path: Path, table: DenseTable) -> None:
     """Write blocks of every incidence and wavelength; linear sRGB becomes CIE XYZ.
 
-    Incidence lies at azimuth POI + 90. An isotropic table has POI 0 and is turned from its own azimuth of incidence; in
-    others azimuths are those of the sample.
+    The light is at azimuth POI + 90. An isotropic table has POI 0, and its azimuths are turned accordingly;
+    anisotropic tables keep the azimuths of the sample.
     """
     theta_i, phi_i, theta_o, phi_o = (np.rad2deg(a) for a in table.axes)
     values = np.nan_to_num(table.values)

@@ -1,6 +1,7 @@
 """Text files of pab-opto goniophotometers: one file per incidence, rows `theta phi value` in degrees.
 
-`#incident_angle theta phi`, or `#intheta` and `#inphi`; `#format: theta phi DSF` or `BSDF`, DSF = BSDF cos(theta_o).
+Comments give the incidence (`#incident_angle theta phi`, or `#intheta` and `#inphi`) and the quantity
+(`#format: theta phi DSF` or `BSDF`, with DSF = BSDF cos(theta_o)).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-r"""Tensor files: named arrays in one file, mapped when read, byte for byte the same when written.
+r"""Reads and writes tensor files, which hold named arrays.
 
     12 bytes "tensor_file\0", u8 major = 1, u8 minor = 0, u32 number of fields; per field u16 length of the name,
     name, u16 ndim, u8 dtype, u64 offset in the file, u64 shape[ndim]; then the data. Little-endian throughout.

@@ -163,7 +163,7 @@ class BlendSpace(LatentSpace):
         return self.paths.weights(u, coordinates) * np.reshape(gains, (-1, 1))
 
     def combination(self, x: Array, colours: Array | None, mapping: ValueMapping) -> Combination:
-        """Return the prediction at x (Q,) as a weighted sum of materials or, with given colours, of their single bands."""
+        """Return the prediction at x (Q,) as a weighted sum of materials or, with given colours, of single bands."""
         k = self.training_index(x, colours)
         if k is not None:
             return Combination(mapping, np.eye(len(self.X))[k])

@@ -1,4 +1,4 @@
-"""Inputs of `manifold convert`: a file as a BRDF, and as values at its own nodes."""
+"""Opens inputs of `manifold convert` as a BRDF, and as values at their own nodes."""
 
 from __future__ import annotations
 
@@ -29,10 +29,13 @@ from manifold.model.output_file import EXPECTED_ERROR
 from manifold.model.prediction import ClippedBRDF
 
 MOST_NODES = 100_000
-"""Nodes at which the error of a conversion is measured; an even choice where a file has more."""
+"""Largest number of nodes at which the error of a conversion is measured.
+
+Of more nodes, evenly spaced ones are used.
+"""
 _LUMINANCE = Bands((550.0,))
 LEAST_COSINE = float(np.sin(np.deg2rad(2.0)))
-"""The least cosine of both directions, since f = f_cos / cos of RGL files is undefined nearer to the horizon."""
+"""Smallest cosine of both directions; nearer to the horizon f = f_cos / cos of RGL files is undefined."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +47,7 @@ class ConversionSource:
         interpolated: the BRDF that interpolates the nodes, or the error that says why these readings cannot be
             interpolated.
         theta_i_rad: the incidences of the file, increasing; empty if its nodes have no common incidences.
-        is_readings: whether the nodes are readings, and all that the file holds.
+        is_readings: whether the file holds only readings, which are the nodes.
     """
 
     nodes: Readings
@@ -63,7 +66,7 @@ class ConversionSource:
 
     @property
     def brdf(self) -> BRDF:
-        """The BRDF. Raises UsageError where readings do not make one."""
+        """The BRDF. Raises UsageError if the readings cannot be interpolated to a BRDF."""
         if isinstance(self.interpolated, UsageError):
             raise self.interpolated
         return self.interpolated
@@ -119,9 +122,9 @@ def open_source(
 ) -> ConversionSource:
     """Read the input of a conversion: one file, or the files of one specimen (pab-opto: one per incidence).
 
-    Colours of readings are corrected before anything else; in linear sRGB, RGL files are converted before they are
-    interpolated, which is quicker; merged files are of one sample although they name it differently; `unit` is of
-    values in files that say none, see `registry.read`.
+    `correction` is applied to the colours of readings first. With `rgb`, RGL files are converted to linear sRGB
+    before they are interpolated, which is faster. With `merge`, the files are treated as one specimen even if they
+    name it differently. `unit` is the unit of values in files that name none, see `registry.read`.
     """
     of_rgl = [path for path in paths if kind_of(path) is Kind.RGL]
     if of_rgl and len(paths) > 1:
@@ -178,7 +181,7 @@ def in_luminance(source: ConversionSource) -> ConversionSource:
 
 
 def with_estimated_spectra(source: ConversionSource) -> ConversionSource:
-    """Return a source in three narrow bands as one of spectra, with a note; others unchanged."""
+    """Return a source in three narrow bands converted to spectra, with a note; other sources are returned unchanged."""
     if not is_narrow(source.nodes.bands):
         return source
     brdf = source.interpolated

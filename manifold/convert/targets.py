@@ -1,4 +1,4 @@
-"""Targets of `manifold convert`: a BRDF sampled at the nodes of each format."""
+"""Writes the formats of `manifold convert`, by sampling a BRDF at the nodes of each format."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _USUAL_INCIDENCES = np.deg2rad([0, 10, 20, 30, 40, 50, 60, 70, 80, 85])
 
 
 Holds = Literal["any", "RGB", "RGB or one", "one", "wavelengths"]
-"""The bands that a format holds."""
+"""The kinds of bands that a format can hold."""
 
 
 Write = Callable[[Path, "ConversionSource", "Options"], list[str]]
@@ -65,7 +65,7 @@ class WrittenFormat(NamedTuple):
     keeps: tuple[str, ...] = ()
 
     def left_out(self, readings: Readings) -> list[str]:
-        """Return a note on data beside the values that the format cannot hold."""
+        """Return a note about data of readings, other than values, that the format cannot hold."""
         said = {
             "weights": np.ptp(readings.weights) > 0.0,
             "uncertainties": np.any(readings.scatter > 0.0),
@@ -80,7 +80,7 @@ class Options(NamedTuple):
     """The grid of a written RGL file; without options, an RGL file is copied byte for byte.
 
     Attributes:
-        resolution: nodes per axis of its outgoing grid, by default 64.
+        resolution: nodes per axis of the outgoing grid, by default 64.
         n_theta_i: number of angles of incidence in addition to those of the file; by default 16, or 48 if the file
             has none.
     """

@@ -78,7 +78,7 @@ class BsdfText:
 
 
 def unique_directions(azimuths: Array, radials: Array) -> tuple[Array, Array, Indices]:
-    """Return the azimuths (n,) and radial angles (n,) of a table's distinct directions in degrees, and their indices in it.
+    """Return azimuths (n,) and radial angles (n,) of a table's distinct directions in degrees, and their indices.
 
     Azimuth 360 is dropped if 0 is present. Radial angle 0 is one direction, which has the first azimuth.
     """

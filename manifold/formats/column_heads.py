@@ -318,7 +318,7 @@ def gloss_angle(head: str) -> float | None:
 
 
 class LabHead(NamedTuple):
-    """The meaning of a heading such as `L* (D65/10)`: the axis `l`, `a` or `b`, and the viewing, or None if it names none."""
+    """The meaning of a heading such as `L* (D65/10)`: the axis `l`, `a` or `b`, and the viewing or None."""
 
     axis: str
     viewing: Viewing | None

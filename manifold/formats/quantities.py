@@ -24,7 +24,7 @@ LEAST_COSINE = 1e-3
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity that files hold, and its conversion into a BRDF: f = scale * value / cosines, after undoing a logarithm.
+    """A quantity and its conversion into a BRDF: f = scale * value / cosines, after undoing a logarithm.
 
     Attributes:
         title: name of the quantity, in the plural.

@@ -192,7 +192,7 @@ def _readings(context: ErrorContext, nm: Array, blocks: list[_Block], notes: lis
 
 
 def write(path: Path, table: DenseTable) -> None:
-    """Write a `.brdf` of an isotropic spectral table with axes incident and outgoing angles and the light at 180 degrees."""
+    """Write a `.brdf` of an isotropic spectral table of incident and outgoing angles, with light at 180 degrees."""
     theta_i, _, theta, phi = (np.rad2deg(axis) for axis in table.axes)
     nm = table.bands.wavelengths_nm or ()
     lines = [

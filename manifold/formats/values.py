@@ -138,7 +138,7 @@ def assumed_unit(raw: Sequence[tuple[Array, Array, Array]]) -> Assumed:
 
 
 def assumed_factors(raw: Sequence[tuple[Array, Array, Array]]) -> Assumed:
-    """Return reflectance factors as the assumed unit, as for spectrophotometers, or percent if the values are too large."""
+    """Return reflectance factors as the assumed unit, or percent if the values are too large."""
     if any(looks_like_percent(*of_sample) for of_sample in raw):
         return Assumed("percent", FACTORS, 100.0, TAKEN_AS_PERCENT)
     return Assumed("factor", FACTORS, 1.0, TAKEN_AS_FACTORS)
@@ -265,7 +265,7 @@ def bright_bands(wi: Array, wo: Array, values: Array, fewest: int = 2, most: flo
 
 
 def too_bright_rows(wi: Array, wo: Array, values: Array) -> Indices:
-    """Return the indices of rows of values (P, B) in 1/sr whose mean over bands is too large, if most rows are darker."""
+    """Return the indices of rows of values (P, B) in 1/sr with too large a mean, if most rows are darker."""
     with np.errstate(invalid="ignore"):
         rows = np.flatnonzero(_is_diffuse(wi, wo) & (np.pi * np.mean(values, axis=1) > _MOST_BRDF))
     return rows if 2 * len(rows) < len(values) else rows[:0]

@@ -1,4 +1,4 @@
-"""Fits as JSON, with their inputs and settings; they are read back as BSDFs. Schema: `fit.schema.json`."""
+"""Reads and writes fits as JSON, with their inputs and settings. The schema is `fit.schema.json`."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def is_number(value: Any) -> bool:
 
 
 def family_of(content: Any, file: str) -> BsdfFamily:
-    """Return the family of a JSON description of a BSDF, in a file of this name; see `BsdfFamily.to_json`."""
+    """Return the family of a JSON description of a BSDF, see `BsdfFamily.to_json`; errors name the file."""
     _require_schema(content, file, "bsdf")
     if holds_none(content.get("fixed", {})):  # null ends Mitsuba's process
         raise FileFormatError(f"{file}: fixed contains null, expected a value; remove that entry")
@@ -73,7 +73,7 @@ def require_fit(content: Any, file: str) -> None:
 
     FileFormatError names the file and the first entry that is not valid.
 
-    Values must lie in the ranges of their parameters, and the entries that Mitsuba loads must say the same as they.
+    Values must lie in the ranges of their parameters, and the entries that Mitsuba loads must agree with them.
     """
     _require_schema(content, file)
     family = family_of(content["bsdf"], file)
@@ -160,8 +160,8 @@ class FitSource:
     Attributes:
         file, sha256: name and hash of the measured file; None for a prediction.
         latent, model, model_sha256: latent, model file and its hash for a prediction; None for a file.
-        walk: the step of a walk in words, because it has no latent; else None.
-        colour: colour of a prediction in words; None for a file, and if latents fix the colours.
+        walk: text that names a step of a walk, which has no latent; otherwise None.
+        colour: text that names the colour of a prediction; None for a file, and if latents determine the colours.
     """
 
     name: str
@@ -175,7 +175,7 @@ class FitSource:
 
 
 def signed(content: dict[str, Any]) -> dict[str, Any]:
-    """Return plain values with a hash that reveals later changes."""
+    """Return plain values with a hash added that reveals later changes."""
     return content | {"sha256": _digest(content)}
 
 

@@ -1,4 +1,4 @@
-"""Reading and writing of pictures (EXR linear, PNG tone-mapped) in sRGB primaries, and their differences."""
+"""Reads and writes pictures (EXR linear, PNG tone-mapped) in sRGB primaries, and computes their differences."""
 
 from __future__ import annotations
 
@@ -138,9 +138,9 @@ def _xyz(display: Array, other: Array) -> tuple[Array, Array]:
 
 
 def flip_map(reference: Array, test: Array, pixels_per_degree: float = PIXELS_PER_DEGREE) -> Array:
-    """Return FLIP between display values in [0, 1], from 0 (alike) to 1 (as different as possible), shape (H, W).
+    """Return FLIP between display values in [0, 1], from 0 (equal) to 1 (most different), shape (H, W).
 
-    Source: Andersson et al. 2020, DOI 10.1145/3406183; its authors' program, for a low dynamic range.
+    Source: Andersson et al. 2020, DOI 10.1145/3406183, in the authors' implementation for low dynamic range.
     """
     evaluate = require("flip_evaluator").evaluate  # only comparisons need it
 

@@ -80,7 +80,7 @@ _CAPTIONS = (
     "The completed material and the measured one, as balls in the studio",
     "Values of both in the plane of incidence",
 )
-_NO_MITSUBA = "nothing is rendered, since Mitsuba is missing"
+_NO_MITSUBA = "nothing is rendered, because Mitsuba is missing"
 _STYLE = """
 :root { color-scheme: light dark; font: 16px/1.5 system-ui, sans-serif; }
 body { max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }

@@ -96,7 +96,7 @@ def run(arguments: list[str] | None = None) -> None:
     try:
         # A shell's variable that is not set; as a path, Python takes it for the current folder.
         if "" in arguments:
-            raise UsageError("found an empty argument, expected a value")
+            raise UsageError("found an empty argument; give a value or leave it out")
         group = application.app.only(command)
         status = group(args=arguments or ["--help"], prog_name="manifold", standalone_mode=False)
         sys.stdout.flush()

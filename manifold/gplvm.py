@@ -351,6 +351,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         check_is_fitted(self, "embedding_")
         if self.Y_fit_ is None:
             raise UsageError(
-                "this model was fitted to a Gram matrix and holds no data: use `weights`, and `Encoder` to embed"
+                "this model was fitted to a Gram matrix and holds no data; use `weights`, and `Encoder` to locate "
+                "samples"
             )
         return self.Y_fit_

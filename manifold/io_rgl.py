@@ -64,8 +64,8 @@ def read_bsdf(source: Path | str | bytes | BinaryIO) -> BsdfFile:
         known = registry.identify(path)
         if known is not None:
             raise FileFormatError(
-                f"{printable(path.name, 255)}: {known.name}, expected an RGL file; `manifold complete` makes one of a "
-                "few readings, `manifold convert` of a table or of whole hemispheres of readings"
+                f"{printable(path.name, 255)}: {known.name}, expected an RGL file; make one by `manifold complete` "
+                "from a few readings, or by `manifold convert` from a table or whole hemispheres of readings"
             )
     tensors = read_tensors(path, content)
     _check(tensors, ErrorContext(path, "the file is damaged: fetch it again"))
@@ -160,7 +160,9 @@ def _tensors(file: BsdfFile, context: ErrorContext) -> dict[str, AnyArray]:
         "valid": file.valid,
     }
     if reserved := _FIELDS.keys() & file.extra.keys():
-        raise context.error("is among the extra fields, expected another name", field=min(reserved))
+        raise context.error(
+            "is reserved, but is the name of an extra field; choose another name", field=min(reserved)
+        )
     return {**tensors, **file.extra}
 
 

@@ -59,7 +59,9 @@ class GGX:
             raise ShapeError(f"transform has shape {m.shape}, expected a finite (3, 3) matrix")
         if not (np.array_equal(m[2], (0, 0, 1)) and np.array_equal(m[:, 2], (0, 0, 1))):
             found = f"third row {m[2].tolist()} and column {m[:, 2].tolist()}"
-            raise UsageError(f"transform: found {found}, expected (0, 0, 1); give a map of the plane")
+            raise UsageError(
+                f"transform: found {found}, expected (0, 0, 1); give a map that only deforms the plane"
+            )
         if not np.linalg.cond(m[:2, :2]) < 1e8:
             raise UsageError(f"transform {m[:2, :2].tolist()} is singular; give an invertible one")
         m.setflags(write=False)
@@ -133,7 +135,7 @@ class GGX:
         return np.where(wm[..., 2] > 0, self._determinant / (np.pi * stretched**2), 0.0)
 
     def masking(self, wi: Array, wo: Array) -> Array:
-        """Return the height-correlated, symmetric G2 / (4 cos_i cos_o) for directions above the horizon, shape (...)."""
+        """Return the height-correlated, symmetric G2 / (4 cos_i cos_o) above the horizon, shape (...)."""
         # The cosines are cancelled, so grazing directions lose no digits.
         return 0.5 / (wi[..., 2] * self.stretched_length(wo) + wo[..., 2] * self.stretched_length(wi))
 

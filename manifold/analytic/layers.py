@@ -90,7 +90,7 @@ class Retroreflection(AnalyticBRDF):
 
     def __post_init__(self) -> None:
         if not self.brdf.is_isotropic:
-            raise UsageError("found an anisotropic BRDF as retro-reflective, expected an isotropic one")
+            raise UsageError("found an anisotropic BRDF, expected an isotropic one for Retroreflection")
         object.__setattr__(self, "bands", self.brdf.bands)
 
     def _eval(self, wi: Array, wo: Array) -> Array:

@@ -346,7 +346,7 @@ def _of_colours(file: BsdfFile, albedo: Array) -> list[str]:
         f"{label} {value:.3g}" for label, value in zip(file.bands.labels, albedo[worst], strict=True)
     )
     where = _in_words(file, np.argwhere(is_off))
-    return [f"colours that no reflectance has, such as an albedo of {colour}, {where}"]
+    return [f"colours that no reflectance can have, such as an albedo of {colour}, {where}"]
 
 
 @lru_cache(maxsize=1)
@@ -382,7 +382,7 @@ def _of_bands(file: BsdfFile, albedo: Array, negative_share: Array) -> list[str]
             named.append(
                 f"{here:.3g} at {labels[b]} between {before:.3g} and {after:.3g}, {_in_words(file, where)}"
             )
-        sentences.append(f"albedo unlike that of both neighbouring bands: {first_few(named, 3, '; ')}")
+        sentences.append(f"albedo differs from both neighbouring bands: {first_few(named, 3, '; ')}")
     return sentences
 
 

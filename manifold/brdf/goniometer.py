@@ -248,7 +248,7 @@ def measure(
         retro = _retro_reflection(brdf, theta[None, :], phi[:, None], steepest)
     if not np.any(retro > 0):
         raise UsageError(
-            f"{name}: nothing is reflected back at any elevation, so it has no normal distribution"
+            f"{name}: no light is reflected back at any elevation, so no normal distribution can be computed"
         )
     if bend is not None:
         retro = _without_knees(retro, bend, warp_exponent, resolution)

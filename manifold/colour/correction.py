@@ -112,7 +112,8 @@ def learn_correction(
     x, y = np.maximum(np.asarray(x, np.float64), 0.0), np.asarray(y, np.float64)
     if len(x) < 4 or not x.max() > 0.0:
         raise UsageError(
-            f"the instruments share {len(x)} directions, expected four or more with light for a colour correction"
+            f"the instruments share {len(x)} directions, expected at least four with values above 0 to learn a "
+            "colour correction"
         )
     scale = float(x.max())
     unit, wanted = x / scale, y / scale

@@ -72,7 +72,7 @@ def exposed(environment: Array) -> Array:
     cosine = np.maximum(np.cos(theta), 0.0) * np.sin(theta)
     total = np.sum(environment.mean(axis=(1, 2)) * cosine) / np.sum(cosine)
     if not total > 0.0:
-        raise UsageError("the environment is black above the horizon; expected light from there")
+        raise UsageError("the environment is black above the horizon, expected light from there")
     return np.asarray(environment / total, dtype=np.float32)
 
 
@@ -85,7 +85,7 @@ def require_light(environment: Array) -> None:
         )
     if not np.isfinite(environment).all():
         raise UsageError(
-            "an environment with transparent pixels, or values that are not finite, expected light"
+            "the environment has transparent pixels or values that are not finite, expected finite radiance"
         )
     if (least := float(environment.min())) < 0.0:
         raise UsageError(
@@ -93,7 +93,7 @@ def require_light(environment: Array) -> None:
             f"{np.count_nonzero(environment < 0.0)} values to 0"
         )
     if not environment.max() > 0.0:
-        raise UsageError("an environment that is black, expected light")
+        raise UsageError("the environment is black, expected radiance above 0")
 
 
 def _plateau(angle_deg: Array, half_width: float) -> Array:

@@ -86,7 +86,7 @@ def in_daylight(readings: Readings) -> Readings:
     values[seen] = xyz_to_srgb(xyz) / np.pi
     median, most = conversion_errors(readings.viewing)
     note = (
-        f"colours under {readings.viewing} are converted to D65/2 as if spectra were smooth: expected colour error "
+        f"colours under {readings.viewing} are converted to D65/2 assuming smooth spectra: expected colour error "
         f"{median:.1f} CIEDE2000 (D65/2), above {most:.1f} for one colour in ten"
     )
     converted = replace(

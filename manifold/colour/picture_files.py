@@ -111,9 +111,9 @@ def _read(path: Path, kind: str) -> Image:
     )
     notes: tuple[str, ...] = ()
     if is_encoded:
-        notes = (f"{path.name}: taken as sRGB; tone curves and colour settings of a camera are not undone",)
+        notes = (f"{path.name}: read as sRGB; the camera's tone curve and colour settings are not reversed",)
     elif kind == "png":
-        notes = (f"{path.name}: 16 bits, and no colour space named: taken as linear",)
+        notes = (f"{path.name}: 16 bits without a colour space: read as linear",)
     return Image(
         path,
         _upright(values, turn),
@@ -167,7 +167,9 @@ def _kind(path: Path) -> str:
 
 
 def _unsupported(path: Path, found: str) -> FileFormatError:
-    return FileFormatError(f"{path}: found {found}, expected one RGB or grey picture in sRGB; save it so")
+    return FileFormatError(
+        f"{path}: found {found}, expected one RGB or grey picture in sRGB; save it in that form"
+    )
 
 
 def _unreadable(path: Path, reason: str) -> FileFormatError:

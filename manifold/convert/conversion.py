@@ -135,7 +135,7 @@ def convert(
     name = str(paths) if isinstance(paths, PlaceSource) else str(paths[0])
     files = () if isinstance(paths, PlaceSource) else paths
     if any(path.exists() and output.exists() and path.samefile(output) for path in files):
-        raise UsageError(f"{output}: is the file to be converted; name another output")
+        raise UsageError(f"{output}: is also the input; name another output")
     learned = None if correction is None else read_correction(correction)
     predicted: DiagnosedPrediction | None = None
     opened: Callable[..., ConversionSource] = partial(
@@ -144,7 +144,7 @@ def convert(
     if isinstance(paths, PlaceSource):
         if sample is not None or learned is not None:
             raise UsageError(
-                f"{paths}: a prediction, expected an instrument's readings to correct or to choose from"
+                f"{paths}: is a prediction, to which --sample and --correction do not apply; leave them out"
             )
         predicted, file = _predicted(paths)
         opened = partial(source_of_prediction, predicted.brdf, file)
@@ -234,7 +234,7 @@ def _gaps(source: ConversionSource) -> list[str]:
         ]
     if len(source.nodes) < _FEW * theta.size:
         return [
-            f"{len(source.nodes)} readings, interpolated between; `manifold complete` takes a library, too"
+            f"{len(source.nodes)} readings were interpolated; `manifold complete` also uses a library of materials"
         ]
     return []
 

@@ -132,7 +132,7 @@ def open_source(
     if of_rgl and unit is not None:
         raise UsageError(f"{paths[0]}: an RGL file states its unit; leave --unit {unit} out")
     if of_rgl and sample is not None:
-        raise UsageError(f"{paths[0]}: an RGL file holds one material; leave the name of the sample out")
+        raise UsageError(f"{paths[0]}: an RGL file holds one material; leave --sample out")
     record: BsdfFile | registry.Record
     if of_rgl:
         record = read_bsdf(paths[0])

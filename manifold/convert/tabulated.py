@@ -179,7 +179,7 @@ class _Slice:
 
     def __init__(self, place: Array, values: Array, what: str) -> None:
         """Triangulate places (n, 2) with values (n, B). Raises UsageError where that is impossible."""
-        remedy = "do not make a BRDF by themselves; complete them through a library (`manifold complete`)"
+        remedy = "do not determine a BRDF; complete them with a library (`manifold complete`)"
         if len(place) < _LEAST_PER_INCIDENCE:
             raise UsageError(f"{what}, {len(place)} at one incidence, {remedy}")
         try:

@@ -73,7 +73,7 @@ class WrittenFormat(NamedTuple):
             "texture": readings.texture,
         }
         lost = [name for name, is_said in said.items() if is_said and name not in self.keeps]
-        return [f"left out, as {self.title} has no place for them: {', '.join(lost)}"] if lost else []
+        return [f"left out, because {self.title} cannot store them: {', '.join(lost)}"] if lost else []
 
 
 class Options(NamedTuple):

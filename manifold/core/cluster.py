@@ -56,8 +56,8 @@ def workers(address: str) -> Iterator[Executor]:
             yield _Workers(client)
         except KilledWorker:
             raise ManifoldError(
-                f"{address}: several workers were lost at one task (out of memory?); give them more, and run again: "
-                "finished results are kept"
+                f"{address}: several workers ended during one task (out of memory?); give them more memory, "
+                "and run again: finished results are kept"
             ) from None
         except CancelledError:
             raise ManifoldError(

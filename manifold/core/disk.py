@@ -125,7 +125,7 @@ def read_json(path: Path, expected: str) -> Any:
 
 def refuse_constant(name: str) -> None:
     """Refuse NaN and infinities by a ValueError."""
-    raise ValueError(f"{name} is not a number of JSON")
+    raise ValueError(f"{name} is not a valid number in JSON")
 
 
 def begins_with(path: Path, *magic: bytes) -> bool:

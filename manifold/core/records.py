@@ -221,7 +221,7 @@ def plain(value: Any) -> Any:
             return [plain(each) for each in value]
         case PurePath():
             return shipped.named(value)
-    raise TypeError(f"{type(value).__name__} has no place in JSON")
+    raise TypeError(f"{type(value).__name__} cannot be written as JSON")
 
 
 def evenly_spaced(total: int, count: int) -> Indices:

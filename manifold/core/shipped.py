@@ -54,7 +54,8 @@ def require_same(path: PurePath | str) -> None:
     expected = str(path).partition("@")[2]
     if expected and expected != content_hash():
         raise UsageError(
-            f"{path}: another version of manifold; this one brings {named(BUILT_IN)}: name {BUILT_IN} to use that"
+            f"{path}: belongs to another version of manifold; this version contains {named(BUILT_IN)}: name "
+            f"{BUILT_IN} to use that"
         )
 
 

@@ -45,7 +45,7 @@ def run(
             yield future.result()
     except BrokenProcessPool:
         raise ManifoldError(
-            "a process was killed (out of memory?); use fewer, and run again: finished files are kept"
+            "a worker process was killed (out of memory?); use fewer workers, and run again: finished files are kept"
         ) from None
     except KeyboardInterrupt:
         running = [future for future in waiting if not future.cancel()]

@@ -95,7 +95,9 @@ def read_responses(path: Path, bands: Bands) -> Array:
     seen *= Illuminant.named("D65").at(nodes)[:, None]
     responses = interpolation_matrix(np.asarray(bands.wavelengths_nm), nodes).T @ seen
     if not np.all(responses.sum(axis=0) > 0.0):
-        raise FileFormatError(f"{path}: a channel sees nothing of {bands}, expected sensitivities above 0")
+        raise FileFormatError(
+            f"{path}: a channel has no sensitivity in {bands}, expected sensitivities above 0"
+        )
     return np.asarray((responses / responses.sum(axis=0)).T)
 
 

@@ -296,12 +296,12 @@ def _missed(sample: ColourSample, lab: Array, gloss: Mapping[float, float]) -> l
     missed = missed_gloss(sample, gloss)
     is_more = [gloss[angle] > asked for angle, asked in missed.items()]
     if any(is_more) and len(sample.gloss) > 1:
-        why = "no coat has all of these gloss values: they contradict each other"
+        why = "these gloss values contradict each other: no coat has all of them"
     elif any(is_more):
-        why = "every coat of this colour has more; --mixture looks among the library's materials"
+        why = "every coat of this colour has more; --mixture searches the library's materials"
     else:
         why = (
-            "no dielectric coat of this colour has it: metals have more, and --mixture looks among the library's "
+            "dielectric coats of this colour have less, metals may have more; --mixture searches the library's "
             "materials"
         )
     notes = [

@@ -476,8 +476,8 @@ class Completion:
         """Sentences about the observations, and about directions, bands and highlights that they do not determine."""
         read = self.evidence.readings
         of_gloss = [
-            f"gloss at {angle:g} degrees is not reproduced: {self.gloss[angle]:.3g} units, "
-            f"{self.evidence.gloss[angle]:.3g} read; no combination reproduces both it and the other observations"
+            f"gloss at {angle:g} degrees is not reproduced: {self.gloss[angle]:.3g} units "
+            f"instead of {self.evidence.gloss[angle]:.3g}; no combination reproduces both it and the other observations"
             for angle, misfit in self.gloss_misfits.items()
             if misfit > _GLOSS_MISSED
         ]
@@ -569,8 +569,9 @@ class Completion:
         notes, readings = list(self.evidence.unlit), self.evidence.readings
         if self.evidence.strength > 0.0:
             notes.append(
-                f"the light is clipped: by the pixels its spots are {1.0 + self.evidence.strength:.3g} times as bright "
-                "as in its picture; expected errors take that as known"
+                "the light is clipped: the fit to the pixels makes its spots "
+                f"{1.0 + self.evidence.strength:.3g} times as bright as in its picture; expected errors ignore the "
+                "uncertainty of this factor"
             )
         notes += self._differing_exposures()
         if self.is_brightness_guessed:
@@ -580,8 +581,8 @@ class Completion:
             )
         if self.solution.contradiction > CONTRADICTION:
             notes.append(
-                "readings and photographs contradict each other, so the photographs count less: check that both are "
-                "of one material, and the light of the photographs"
+                "readings and photographs contradict each other, so the photographs get less weight: check that both "
+                "show the same material, and the light of the photographs"
             )
         if readings is not None and not readings.bands.is_rgb:
             notes.append(

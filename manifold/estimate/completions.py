@@ -537,7 +537,7 @@ def complete(
         _of_unit(readings, written.plausibility)
         + written.notes
         + notes_of(completion, calibration, balls)
-        + ("the residual of pixels is that of the material before it was made physical",)
+        + ("the residual of the pixels refers to the material before it was made physical",)
         * bool(balls and written.projection)
     )
     made: dict[str, Any] = {

@@ -128,7 +128,10 @@ def _in_samples(parts: list[_Part]) -> list[Sample]:
         spectral_first = sorted(parts, key=lambda part: -part.bands)  # others are corrected by it
         note = f"put together from {files}, in which the sample is named {name}"
         return [Sample(safe_name(name), tuple(part[:2] for part in spectral_first), note)]
-    note = f"{files} hold readings of {name} by one instrument: completed apart; --merge if they are of one sample"
+    note = (
+        f"{files} hold readings of {name} by one instrument: completed separately; use --merge if they are of one "
+        "sample"
+    )
     return [
         Sample(safe_name("_".join(filter(None, (part.path.stem, part.sample)))), (part[:2],), note)
         for part in parts

@@ -126,7 +126,7 @@ class CalibratedInstrument(Result):
                 "one sample determines the correction of its own colour only: in simulations the error for other "
                 "colours is one half"
                 if n_samples == 1
-                else f"{n_samples} samples determine a correction badly: in simulations the error for other colours "
+                else f"{n_samples} samples determine a correction poorly: in simulations the error for other colours "
                 "is a quarter, with six samples a sixth"
             )
             notes.append(f"{few}; give {_ENOUGH_SAMPLES} or more samples of different colours")
@@ -160,7 +160,7 @@ def correct_colours(readings: Readings, correction: ColourCorrection) -> Reading
     """Return corrected readings, in the bands of the correction's reference instrument."""
     readings = in_daylight(readings)
     correction.source.require_same(
-        readings.bands, readings.name, "the colour correction was learned from another instrument's"
+        readings.bands, readings.name, "the colour correction was learned from another instrument"
     )
     nm = correction.reference.wavelengths_nm
     known = readings.measured.all(axis=1)
@@ -385,7 +385,9 @@ def pairs_of(reference: Path, other: Path) -> tuple[list[tuple[Readings, Reading
     Also return a text for each sample without a partner that states the reason.
     """
     if reference == other:
-        raise UsageError(f"{reference} is named twice, expected the reference's and another instrument's")
+        raise UsageError(
+            f"{reference} is given twice, expected files of the reference and of another instrument"
+        )
     first, second = _samples_in(reference), _samples_in(other)
     if len(first) == len(second) == 1 and not (reference.is_dir() or other.is_dir()):
         second = dict.fromkeys(first, *second.values())  # whatever its name

@@ -141,7 +141,8 @@ def given_lamp_notes(photograph: Photograph, circle: Circle, lamp: Lamp) -> tupl
         return ()
     return (
         f"{photograph.path.name}: the lamp was given at {lamp}, but the ball looks lit from {seen.lamps[0]}, "
-        f"{apart:.0f} degrees away: is it the lamp of this picture, and x to the right, y up, z to the camera?",
+        f"{apart:.0f} degrees away: check that it is the lamp of this picture, with x to the right, y up, z to the "
+        "camera",
     )
 
 

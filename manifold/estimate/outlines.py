@@ -79,9 +79,9 @@ def read_photograph(path: Path, is_linear: bool = False) -> Photograph:
     if is_linear and picture.is_encoded:
         values, notes = (
             encode_srgb(values).astype(np.float32),
-            (f"{path.name}: its values are taken as linear",),
+            (f"{path.name}: its values are read as linear",),
         )
-    grey = (f"{path.name}: grey; the colour is not in it",) * picture.is_grey
+    grey = (f"{path.name}: a grey picture, which does not determine the colour",) * picture.is_grey
     return Photograph(
         path, values, picture.is_clipped & seen, notes + grey, picture.is_encoded and not is_linear
     )
@@ -209,7 +209,7 @@ def given_outline_notes(photographs: Sequence[Photograph], circle: Circle) -> tu
         return ()
     return (
         f"the circle {circle} was given, but {percent(share)} of the edges near it lie on {edges.scaled(factor)}, "
-        f"{percent(off / given.radius)} of its radius away: is it the ball's outline?",
+        f"{percent(off / given.radius)} of its radius away: check that it is the ball's outline",
     )
 
 

@@ -74,7 +74,7 @@ def with_picture_colours(readings: Readings) -> Readings:
     try:
         seen = np.array([picture_values(images[caption]).mean(axis=(0, 1)) for caption in found])
     except FileFormatError as error:
-        return readings.with_note(f"a picture {error}; none is used where spectra are missing")
+        return readings.with_note(f"a picture {error}; no picture replaces a missing spectrum")
     factors = seen / np.array([colour_of(readings, reading) for reading in read])
     factor = np.nanmedian(factors, axis=0)
     if np.any(np.abs(np.log(factor)) > np.log(_MOST_FACTOR)) or odd_picture(tuple(found), factors):

@@ -218,9 +218,9 @@ def _require_curved(photograph: Photograph, cylinder: Circle) -> None:
     span = float(np.rad2deg(np.ptp(np.arcsin(np.clip(edges, -_RIM, _RIM)))))
     if span < _LEAST_SPAN_DEG:
         raise UsageError(
-            f"{photograph.path}: the normals of what is seen of the cylinder at {cylinder} span {span:.0f} degrees, "
-            f"expected {_LEAST_SPAN_DEG:g} or more: a nearly flat piece says little; bend it over a thinner one, or "
-            "give readings"
+            f"{photograph.path}: the normals of the visible part of the cylinder at {cylinder} span {span:.0f} "
+            f"degrees, expected {_LEAST_SPAN_DEG:g} or more: a nearly flat piece determines little; bend it over a thinner "
+            "cylinder, or give readings"
         )
 
 

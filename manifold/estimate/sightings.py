@@ -221,7 +221,7 @@ def _under_lamps(
     if (apart := _found_at(request)) is not None:
         if len(set(circles)) > 1:
             raise UsageError(
-                "different circles, expected the same for all photographs, whose lamps are to be found"
+                "different circles, expected the same circle for all photographs to estimate their lamps"
             )
         given_circle = _outline_of(photographs, circles[0])[0] if circles[0] else None
         probe = find_light(photographs, given_circle, apart)
@@ -238,8 +238,8 @@ def _under_lamps(
             outlines = [_outline_of([one], text) for one, text in zip(photographs, circles, strict=True)]
     if request.grey is None:
         notes += (
-            "the lamp is assumed to be white; a coloured lamp changes the material's colour; balance the picture's "
-            "white, or give a grey card (--grey)",
+            "the lamp is assumed to be white; a coloured lamp changes the material's colour; correct the picture's "
+            "white balance, or give a grey card (--grey)",
         )
     balls = []
     for photograph, lamp, off, (circle, doubts) in zip(photographs, lamps, uncertain, outlines, strict=True):
@@ -312,7 +312,7 @@ def _require_possible(balanced: Photograph, circle: Circle, grey: str) -> None:
     if level > _MOST_BRIGHT:
         raise UsageError(
             f"{balanced.path}: according to the grey card at {grey}, a quarter of the ball is more than {level:.1f} "
-            "times as bright as a white surface that faces the lamp, which no material is; expected a card that the "
+            "times as bright as a white surface that faces the lamp, which is impossible; expected a card that the "
             "same lamp lights, not the background or a shadow, and its reflectance"
         )
 
@@ -386,10 +386,15 @@ def _around(
     circle, doubts = _outline_of([photograph], given if name else "")
     if (beside := outside(photograph, circle)) > _MOST_OUTSIDE:
         raise UsageError(
-            f"{path}: {percent(beside)} of the mirror ball at {circle} lies outside, expected all of it"
+            f"{path}: {percent(beside)} of the mirror ball at {circle} lies outside the picture, expected the whole "
+            "ball"
         )
     image = unwrapped(photograph, circle, camera)
-    notes = (*photograph.notes, *doubts, f"{path.name}: taken as a perfect mirror, its outline at {circle}")
+    notes = (
+        *photograph.notes,
+        *doubts,
+        f"{path.name}: treated as a perfect mirror with the outline {circle}",
+    )
     try:
         return image, Environment.of(image), notes, clipped_spots(photograph, circle)
     except UsageError as error:

@@ -96,7 +96,7 @@ def gather(
     gloss |= {angle: units for one in seen if isinstance(one, Mapping) for angle, units in one.items()}
     if not sightings:
         if readings is None:
-            raise UsageError("found no readings and no picture of the material, expected some")
+            raise UsageError("found neither readings nor pictures of the material; give one of them")
         of_library = usable_readings(for_library(readings, atoms.bands))
         return Evidence.of_instruments(atoms, replace(of_library, gloss=gloss))
     sums = [sighting.sums(atoms) for sighting in sightings]

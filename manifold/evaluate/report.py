@@ -203,8 +203,8 @@ def make_report(
         figures.save(map_figure.latent_map(model), picture)
     if model.space.landmarks is not None:
         raise UsageError(
-            f"a report on a map of {model.space.materials_in_words}, expected all to be laid out: its methods leave "
-            "out every material; a model's information lists the left-out errors of a sample"
+            f"a report on a map of {model.space.materials_in_words}, expected a map without landmarks, because every "
+            "material is left out; `manifold info MODEL` lists the errors of some left-out materials"
         )
     grid = RusinkiewiczGrid.named(grid_name)
     replaced = replaced_keys(model)

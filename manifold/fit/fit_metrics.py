@@ -45,7 +45,7 @@ class Metric:
     def of(cls, name: str, samples: FitSamples) -> Metric:
         """Return the metric with a name, with its knee chosen for the samples."""
         if name not in METRICS:
-            raise UsageError(f"no residual is called {name!r}, expected one of {', '.join(METRICS)}")
+            raise UsageError(f"there is no metric {name!r}, expected one of {', '.join(METRICS)}")
         mean = np.average(samples.f_cos, axis=0, weights=samples.weight).mean()
         return cls(name, _KNEE * float(mean))
 
@@ -101,7 +101,7 @@ def missed_highlight(fitted: EvaluableBRDF, material: EvaluableBRDF) -> str | No
         return None
     return (
         f"its highlight is missed: under a sun, CIEDE2000 {near:.0f} within {_NEAR_DEG:.0f} degrees of the mirror "
-        f"direction, {rest:.0f} elsewhere, which no parameter makes up for"
+        f"direction, {rest:.0f} elsewhere, which no parameter of the model can correct"
     )
 
 

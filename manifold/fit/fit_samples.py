@@ -113,7 +113,7 @@ class FitSamples:
                 f"weights have shape {weight.shape}, expected {(len(wi),)} of finite numbers, none negative"
             )
         if not np.any(weight[np.any(f > 0, axis=1)] > 0):
-            raise UsageError("every pair that reflects anything has weight 0; raise some weights")
+            raise UsageError("every pair with values above 0 has weight 0; raise some weights")
         return cls(wi, wo, f, weight / weight.mean(), bands)
 
     def __len__(self) -> int:

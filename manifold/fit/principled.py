@@ -236,7 +236,8 @@ def _fit_or_diffuse(
     if isinstance(family, str):
         if family not in named:
             raise UnknownNameError(
-                f"no BSDF '{family}' to fit; {names_like(named, family, 'names are')}; others are a BsdfFamily"
+                f"no BSDF '{family}' to fit; {names_like(named, family, 'names are')}; give another BSDF as a "
+                "BsdfFamily"
             )
         family = named[family]
     if family is not None:

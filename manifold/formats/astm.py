@@ -242,7 +242,7 @@ def _readings(
     if np.any(values < 0):
         count = int((values < 0).sum())
         are = "value is" if count == 1 else "values are"
-        notes.append(f"{count} {are} negative, down to {np.nanmin(values):.3g}: noise, kept")
+        notes.append(f"{count} {are} negative, down to {np.nanmin(values):.3g}; they are kept as noise")
     return Readings(
         name, instrument, wi, wo, nm, values, notes=tuple(notes),
         assumed_unit=None if assumed is None else assumed.unit, **weighed,

@@ -227,7 +227,7 @@ class Words:
         """Return the next `count` words as finite numbers that increase, shape (count,)."""
         where, values = self.line, self.numbers(count, what)
         if np.any(np.diff(values) <= 0.0):
-            raise self.context.error(f"{what} do not increase, expected them ordered", where)
+            raise self.context.error(f"{what} do not increase, expected increasing ones", where)
         return values
 
     def angles(self, key: str) -> Array:

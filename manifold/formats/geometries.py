@@ -82,7 +82,7 @@ def directions(
         phi_i = np.full(len(keep), np.pi)
         if phi_o is None:
             notes.append(
-                Assumption("no azimuths: all directions are taken on the side of the mirror direction")
+                Assumption("no azimuths: all directions are assumed on the side of the mirror direction")
             )
         else:
             seen = heads.get("phi_o", "phi_o")
@@ -251,7 +251,7 @@ def resolve(names: Iterable[str], context: ErrorContext, notes: list[str]) -> di
         )
     if alone:
         angles |= {name: (45.0, angle, 0.0) for name, angle in alone.items()}
-        notes.append(Assumption("the file gives only aspecular angles; the light is taken at 45 degrees"))
+        notes.append(Assumption("the file gives only aspecular angles; the light is assumed at 45 degrees"))
     if any(found["kind"][0] in "dD" for name in angles if (found := _PATH.search("".join(name.split())))):
         notes.append("DP, means of two paths from either side: taken as one path, as for isotropic samples")
     return angles

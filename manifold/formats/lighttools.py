@@ -154,7 +154,7 @@ def _said_azimuth(comments: list[str], notes: list[str]) -> float | None:
     said = next((match for line in comments if (match := _STATEMENT.search(line)) is not None), None)
     if said is None:
         return None
-    notes.append(f"incidence is taken at azimuth POI + {float(said[1]):g}, as a comment says")
+    notes.append(f"incidence is taken at azimuth POI + {float(said[1]):g}, as a comment in the file states")
     return float(said[1])
 
 

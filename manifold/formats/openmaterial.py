@@ -58,7 +58,7 @@ def read(path: Path) -> list[Readings]:
     notes: list[str] = []
     angles = dict(zip(("theta_i", "theta_o", RELATIVE), table[cells.first, 1:4].T, strict=True))
     if exceed_radians(angles):
-        raise context.error("angles beyond a full turn, as in degrees, expected radians")
+        raise context.error("angles beyond a full turn, probably degrees, expected radians")
     kept, wi, wo = directions(angles, context, notes)
     values = cells.table(table[:, 4])[kept]
     return [

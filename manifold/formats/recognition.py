@@ -94,7 +94,7 @@ def require_no_export(path: Path) -> None:
     if path.suffix.lower() not in _ENGINE_SUFFIXES and read_export(path) is None:
         return
     raise UsageError(
-        f"{path}: a file for engines, which is not read back, expected its material; compare both by "
+        f"{path}: a file for engines, which cannot be read back, expected its material; compare both by "
         "`manifold export MATERIAL --target NAME --picture`"
     )
 

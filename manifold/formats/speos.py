@@ -139,7 +139,7 @@ def _spectrum(words: Words) -> tuple[Array, Array, Array]:
     count = words.count("wavelengths")
     nm, percent = words.numbers(2 * count, "wavelengths and percentages").reshape(-1, 2).T
     if np.any(np.diff(nm) <= 0.0):
-        raise words.context.error("wavelengths do not increase, expected them ordered", words.line)
+        raise words.context.error("wavelengths do not increase, expected increasing ones", words.line)
     return at, nm, percent
 
 

@@ -121,7 +121,7 @@ def encode(file: BsdfFile, tolerance: float = DEFAULT_TOLERANCE) -> Compact:
     raise LibraryError(
         f"{file.name}: its compact form differs by {ball:.2g} {BALL} and {percent(cube_root, 2)} in cube roots at the "
         f"finest step, expected at most {most.ball:.2g} and {percent(most.cube_root, 2)}; raise the tolerance, "
-        "or store it as it is"
+        "or keep the material uncompressed"
     )
 
 

@@ -27,7 +27,7 @@ def require_outside_libraries(path: Path, *, into: bool = False) -> None:
     libraries = [folder for folder in folders if is_library(folder)]
     if libraries:  # the last one is the library, others are its groups
         raise UsageError(
-            f"{path}: in the library {libraries[-1]}, which other files would damage; name another path"
+            f"{path}: lies in the library {libraries[-1]}, which this file would damage; name another path"
         )
 
 

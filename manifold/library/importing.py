@@ -305,8 +305,8 @@ def _store_all(
             report.step(source.path)
     if stopped is not None:
         raise LibraryError(
-            f"{library.name}: writing failed ({stopped}) with {len(report.outcomes)} materials done; those are whole: "
-            "make room or check permissions, and import again"
+            f"{library.name}: writing failed ({stopped}) with {len(report.outcomes)} materials finished, which "
+            "are complete: free some space or check permissions, and import again"
         )
 
 

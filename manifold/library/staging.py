@@ -66,7 +66,7 @@ def writing(library: Path) -> Iterator[Path]:
         staging = Path(tempfile.mkdtemp(prefix=prefix, dir=home))
     except Timeout:
         raise LibraryError(
-            f"{library.name}: another process is writing to it; import again when that is done"
+            f"{library.name}: another process is writing to it; try again when it has ended"
         ) from None
     except OSError as error:
         raise LibraryError(

@@ -160,7 +160,8 @@ def batch(
                 outcomes[k] = Outcome(source.name, path, source, output.content, failure=refusal)
             elif not _is_there(path):
                 unseen = (
-                    f"{path}: not seen here after a worker wrote it; use a folder that all machines share"
+                    f"{path}: a worker wrote this file, but it is not visible here; use a folder that all machines "
+                    "share"
                 )
                 outcomes[k] = Outcome(source.name, path, source, failure=unseen)
             else:

@@ -43,7 +43,7 @@ class ColourChoice:
     def __post_init__(self) -> None:
         given = [name for name, value in vars(self).items() if value is not None]
         if len(given) > 1:
-            raise UsageError(f"found {' and '.join(given)}, expected one of them; a material has one colour")
+            raise UsageError(f"found {' and '.join(given)}, expected only one of them")
 
     @property
     def is_like_file(self) -> bool:

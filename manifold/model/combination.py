@@ -124,7 +124,7 @@ class Combination:
         missing = np.setdiff1d(self.sample_bands, bands)
         if missing.size:
             raise ShapeError(
-                f"bands {missing.tolist()} are needed by the prediction, and the values lack them"
+                f"bands {missing.tolist()} are needed by the prediction, but missing from the values"
             )
         variance = self.variance[bands] if isinstance(self.variance, np.ndarray) else self.variance
         position = np.searchsorted(bands, self.sample_bands)

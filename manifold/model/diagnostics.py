@@ -100,7 +100,7 @@ class DiagnosedPrediction(Result):
         """Return lines of text that state the place, and where the colour comes from."""
         place = f"{self.walk}, a step of a walk" if self.walk is not None else ",".join(self.coordinates)
         if self.is_file:
-            place = f"{self.own}, by its own values (`manifold locate` finds its place on the map)"
+            place = f"{self.own}, with its own values (`manifold locate` finds its place on the map)"
         return place if self.colour is None else f"{place}; colour {self.colour}"
 
     @property
@@ -111,7 +111,7 @@ class DiagnosedPrediction(Result):
             return ("none: a step of a walk has no place on the map",)
         if self.own is not None:
             what = "the material itself" if self.attributes is None and self.colour is None else "the change"
-            return (f"none: the map has no part in {what}",)
+            return (f"none, because the map is not used for {what}",)
         if self.is_extrapolation:
             return ("unknown: not supported by the data, see note",)
         if self.expected_in_chosen_colour is None:

@@ -129,7 +129,7 @@ class Embedding:
                 assert isinstance(settings, BlendSettings)
                 if latents is not None:
                     raise UsageError(
-                        "found latents for kind blend, whose layout goes with its colours, expected kind gplvm"
+                        "latents are given for kind blend, which computes its own; leave them out, or use kind gplvm"
                     )
                 space, statistics, samples = _fit_blends(materials, settings)
             if calibrate and len(chosen) >= LEAST_MATERIALS:

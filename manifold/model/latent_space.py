@@ -210,7 +210,7 @@ class LatentSpace(ABC):
 
 def fixed_colours(kind: str) -> str:
     """Return a message that explains why no colour can be given for a kind of model, and what to do."""
-    return f"colours cannot be chosen on a manifold of kind {kind}; leave the colour out, or embed with kind blend"
+    return f"colours cannot be given for a manifold of kind {kind}; leave the colour out, or embed with kind blend"
 
 
 def require_shapes(stored: Mapping[str, Array], shapes: Mapping[str, tuple[int, ...]]) -> list[Array]:

@@ -98,8 +98,8 @@ class Manifold(Embedding):
         if not fitted or not isinstance(fitted[0], MaterialCache):
             found = ", ".join(map(repr, fitted))
             raise UsageError(
-                f"Manifold({found}): expected Manifold.load(path) of a model, 'built-in' among them, or "
-                "Manifold.fit(library)"
+                f"Manifold({found}): use Manifold.load(path) to load a model, such as 'built-in', or "
+                "Manifold.fit(library) to fit one"
             )
         super().__init__(*fitted)
         self._walked: dict[str, Walked] = {}

@@ -127,7 +127,7 @@ def reconstruct(
         numbers: largest number of parameters, see `ComparedValues.weights`; None sets no limit.
     """
     if numbers is not None and numbers < 1:
-        raise UsageError(f"found {numbers} numbers to describe a material by, expected at least 1")
+        raise UsageError(f"found a limit of {numbers} parameters, expected at least 1")
     sampled, N = list[BRDF](), len(materials.names)
     for first in range(0, N, _SAMPLES_AT_ONCE):
         new = materials.names[first : first + _SAMPLES_AT_ONCE]
@@ -143,7 +143,7 @@ def reconstruct(
             sampled = [sampled[k] for k in np.flatnonzero(has_any)]
     if not np.any(weights):
         raise UsageError(
-            "the material to reconstruct is black: found no value above 0 at any direction pair, expected some light"
+            "the material to reconstruct is black: expected a value above 0 at some direction pair"
         )
     combination = Combination(Identity(), weights, sample_bands, dictionary=DICTIONARY)
     return PredictedBRDF(sampled, combination, brdf.bands)

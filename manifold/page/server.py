@@ -63,9 +63,7 @@ class ExplorerServer(ThreadingHTTPServer):
         try:
             super().__init__((LOOPBACK, port), _Handler)
         except OSError as error:
-            raise UsageError(
-                f"port {port} cannot be listened on ({error.strerror}); choose another"
-            ) from None
+            raise UsageError(f"cannot listen on port {port} ({error.strerror}); choose another") from None
         self.page, self.context = page.encode(), context
         self.token = secrets.token_urlsafe(24)
         self.queue = Queue() if queue is None else queue

@@ -59,7 +59,8 @@ class MapWidget(AnyWidget):  # type: ignore[misc]
         """
         if "without" in parse_qs(self.link):
             raise UsageError(
-                "the view shows what the others predict of a material; move the point to predict of all"
+                "the view shows the prediction of a material from the others; move the point to predict from all "
+                "materials"
             )
         x, colour = self.model.place(list(self.latent)).latent, dict(self.colour)
         path = colour.pop("between", None)

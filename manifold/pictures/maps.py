@@ -55,7 +55,7 @@ def latent_map(
     x = None if predicted is None else predicted.latent
     if not backend.is_available():
         figures.save(map_figure.latent_map(loaded, marked=x), output)
-        return predicted, ("rendered balls, since Mitsuba is missing",)
+        return predicted, ("rendered balls, because Mitsuba is missing",)
     ball = None if predicted is None else thumbnails.of_material(predicted.brdf)
     balls = thumbnails.of_materials(loaded)
     figures.save(ball_figures.ball_map(loaded, balls, x, ball), output)

@@ -171,7 +171,7 @@ def latent_material(
     warn_if_invisible(loaded.bands)
     predicted = diagnostics.predict_and_diagnose(loaded, latent, colour)
     if predicted.latent is None:
-        raise UsageError(f"{at}: --direct evaluates latents, but no steps of walks; leave it out")
+        raise UsageError(f"{at}: --direct cannot evaluate a step of a walk; leave it out")
     coordinates = ",".join(repr(float(v)) for v in predicted.latent)
     bsdf = {"type": "manifold", "model": shipped.named(model), "latent": coordinates}
     bsdf |= {key: str(value) for key, value in vars(colour).items() if value is not None}

@@ -197,7 +197,7 @@ def mitsuba(colour: str = "spectral", backend: Backend | None = None) -> Any:
             if not backend.is_llvm:
                 raise
             raise RendererError(
-                f"Dr.Jit cannot use {backend.library} ({str(error).strip().splitlines()[-1]}); name another libLLVM by "
+                f"Dr.Jit cannot use {backend.library} ({str(error).strip().splitlines()[-1]}); name another libLLVM in "
                 f"{LIBRARY_VARIABLE}, or set {RENDERER_VARIABLE}=scalar"
             ) from error
     return mi

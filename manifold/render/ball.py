@@ -58,7 +58,7 @@ def read_material(path: Path) -> BallMaterial:
     rows, columns = file.spectra.shape[3:]
     if rows != columns:
         raise UsageError(
-            f"{path}: outgoing grid of {rows} x {columns}, expected a square one; Mitsuba reads no other"
+            f"{path}: outgoing grid of {rows} x {columns}, expected a square grid, which Mitsuba requires"
         )
     warn_if_invisible(file.bands)
     bsdf = {"type": "measured", "filename": str(path)}

@@ -140,7 +140,7 @@ def _require_same(found: Any, expected: dict[str, Any] | None, where: str) -> No
         both = found or {}, expected or {}
         differing = sorted(key for key in {*both[0], *both[1]} if both[0].get(key) != both[1].get(key))
         raise FileFormatError(
-            f"{where} and the values differ in {', '.join(differing)}; change both alike, or fit again"
+            f"{where} and the values differ in {', '.join(differing)}; make them equal, or fit again"
         )
 
 

@@ -88,7 +88,7 @@ def read_display(path: Path) -> Array:
 
 def _finite(picture: Image) -> Array:
     if not np.isfinite(picture.values).all():
-        raise FileFormatError(f"{picture.path}: pixels that are not finite; render it again")
+        raise FileFormatError(f"{picture.path}: has pixels that are not finite; render it again")
     return picture.values
 
 
@@ -154,5 +154,6 @@ def require_pictures(a: Array, b: Array) -> None:
     """Raise ShapeError unless two pictures have the same size and three channels."""
     if a.shape != b.shape or a.ndim != 3 or a.shape[2] != 3:
         raise ShapeError(
-            f"pictures have shapes {a.shape} and {b.shape}, expected the same (height, width, 3); render both alike"
+            f"pictures have shapes {a.shape} and {b.shape}, expected the same (height, width, 3); render both with "
+            "the same size"
         )

@@ -85,7 +85,7 @@ def make_shader(
     source = MeasuredBRDF(fill_unmeasured(file)) if material is None else material
     against = f"{file.origin} file" if material is None else "fit"
     if not file.is_isotropic:
-        notes.append("anisotropic: averaged over all azimuths of the sample, since the table has none")
+        notes.append("anisotropic: averaged over all azimuths of the sample, because the table is isotropic")
         file = averaged(file)
     brdf, rgb = MeasuredBRDF(fill_unmeasured(file)), file_to_srgb(fill_unmeasured(file))
     lobes, lights = fit_lobes(brdf, rgb.theta_i_rad), panel.judged()
@@ -98,7 +98,7 @@ def make_shader(
     shapes = shapes_of(rgb, MOST_BYTES)
     if not shapes:
         raise UsageError(
-            f"{file.name}: no table of it has at most {MOST_BYTES >> 20} MB; convert it to a coarser file"
+            f"{file.name}: its table would exceed {MOST_BYTES >> 20} MB; convert it to a coarser file"
         )
     for shape in shapes:
         table = tabulate(rgb, shape, lobes)

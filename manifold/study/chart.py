@@ -148,7 +148,7 @@ def make_chart(
         tasks = [[key] for key in sorted(todo, key=storage)]
     else:
         if library is None:
-            raise UsageError("found no library, expected that of the files, from which workers read them")
+            raise UsageError("workers need the library of the files, from which they read; give the library")
         measure = partial(_measure_there, library=library.path, names=names, how=how)
         of_fits: dict[Hashable, list[str]] = {}  # settings that share a fit are one task
         for key in todo:

@@ -289,7 +289,7 @@ def write_surface(
         written |= {"mean", "picture"}.union(*(_kinds_of(target, flakes) for target in exports))
     notes = (*textures.notes, *_notes(pictures, surface, sparkle, completed))
     if lost := [f"{name} {100.0 * share:.2g} %" for name, share in cut.items() if share > _FEW_CUT]:
-        notes += (f"bright points are cut in textures, of all points: {', '.join(lost)}",)
+        notes += (f"bright points are clipped in textures; shares of all points: {', '.join(lost)}",)
     if flakes is not None and exports:
         notes += notes_of_flakes(flakes, targets)
     made = SurfaceFiles(

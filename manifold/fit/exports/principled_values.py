@@ -62,7 +62,9 @@ class PrincipledValues:
         if bsdf["type"] != "principled":
             raise UsageError(f"a fit of {bsdf['type']} has no counterpart in engines; fit principled")
         if known.get("spec_trans", 0.0):
-            raise UsageError("a fit with spec_trans transmits light, which exports leave out; fit without it")
+            raise UsageError(
+                "a fit with spec_trans transmits light, which exports do not support; fit without it"
+            )
         numbers: dict[str, Any] = {
             k: snapped(known[k]) for k in cls.__dataclass_fields__ if k in known and k != "base_color"
         }

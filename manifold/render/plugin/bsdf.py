@@ -75,7 +75,7 @@ def _refuse(properties: Any) -> Any:
 
 def _refuse_mono(properties: Any) -> Any:
     raise UsageError(
-        "the plugin `manifold` needs an RGB or spectral variant of Mitsuba: a mono one has a single channel; set "
+        "the plugin `manifold` needs an RGB or spectral variant of Mitsuba: mono variants have a single channel; set "
         "llvm_ad_rgb for RGB materials, llvm_ad_spectral for spectral ones"
     )
 

@@ -358,8 +358,7 @@ class Evaluation:
         if dr.grad_enabled(wi, wo):
             raise UsageError(
                 "plugin manifold: derivatives with respect to directions (moved shapes, lights or cameras) are not "
-                "known; keep "
-                "these fixed"
+                "supported; keep these fixed"
             )
         cos_o = mi.Frame3f.cos_theta(wo)
         cosines = cos_o * mi.Frame3f.cos_theta(wi)

@@ -160,8 +160,8 @@ def varying_mixture(model: Manifold) -> Mixture:
     n = len(model.names)
     if model.space.landmarks is not None:
         raise UsageError(
-            f"textures of latents on a map of {model.space.materials_in_words}, expected all to be laid out: they keep "
-            "all in memory; embed fewer"
+            f"textures of latents on a map of {model.space.materials_in_words}, expected a map without landmarks, "
+            "because all materials are kept in memory; embed fewer"
         )
     bands, seen = _seen_bands(model.bands)
     order, tables = _tables(model, range(n), seen)

@@ -158,7 +158,9 @@ class _Store:
         joined = np.concatenate(self._blocks)
         self._blocks.clear()
         if joined.size > np.iinfo(np.uint32).max:
-            raise UsageError("too many materials for 32-bit indices; leave out those of small weight")
+            raise UsageError(
+                "too many materials for 32-bit indices; raise the tolerance to leave out small weights"
+            )
         return joined
 
 

@@ -239,7 +239,9 @@ def _measured_file(material: SceneMaterial, folder: Path) -> Path:
     if material.kind == "measured":
         path = Path(properties.get("filename", ""))
         if not path.is_file():
-            raise MissingFileError(f"{path}: no such file; a BSDF of the type measured in the scene names it")
+            raise MissingFileError(
+                f"{path}: no such file; correct the file name of the BSDF of type measured in the scene"
+            )
         return path
     if "model" not in properties or "latent" not in properties:
         raise UsageError("a manifold BSDF in the scene has no model or no latent; give both")
@@ -270,7 +272,7 @@ def _common_kind(files: Mapping[str, Path]) -> bool:
     kinds = {path: read_bsdf(path).bands.is_rgb for path in files.values()}
     if len(set(kinds.values())) > 1:
         rgb = next(path for path, is_rgb in kinds.items() if is_rgb)
-        raise UsageError(f"{rgb}: an RGB file in a scene with spectral ones; use the _spec files throughout")
+        raise UsageError(f"{rgb}: an RGB file in a scene with spectral files; use only _spec files")
     return next(iter(kinds.values()))
 
 

@@ -152,7 +152,7 @@ def _first(
             return candidate
     if not candidates:
         raise UsageError(
-            f"no representation evaluates a million times within {tolerance.milliseconds:g} ms; allow more"
+            f"no representation is evaluated a million times within {tolerance.milliseconds:g} ms; raise the limit"
         )
     best = min(candidates, key=lambda candidate: candidate.predicted)
     found = difference_alone(key, best)

@@ -146,7 +146,7 @@ class Application(typer.Typer):
     def only(self, command: str | None) -> Any:
         """Return the Click group of one command.
 
-        For an unknown name, a group with the names and one-line helps of all.
+        For an unknown name, it is a group that lists the names of all commands with their one-line helps.
         """
         known = [command] if command in COMMANDS else []
         load(known)

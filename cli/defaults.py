@@ -19,7 +19,8 @@ _WRITERS = ("import", "compact", "embed")
 def use_built_in(context: Any) -> None:
     """Use the built-in library and model if none is given and the default paths do not exist.
 
-    Say so when one is opened. If the built-in library is given, the built-in model is used with it.
+    A message on stderr says so when one is opened. If the built-in library is given, the built-in model is used with
+    it.
     """
     values, name = context.params, context.command.name
     if name in _WRITERS or not {"library", "model"} & values.keys():

@@ -286,7 +286,7 @@ def complete_measured(folder: Path) -> CompletedMaterial:
 def pair_to_show(model: Manifold, pairs: Sequence[Pair]) -> Pair:
     """Return the typical pair among pairs whose midpoint on the map has no third material.
 
-    If there are none, among all.
+    If there is no such pair, it is the typical pair among all.
     """
 
     def share(pair: Pair) -> float:

@@ -152,7 +152,7 @@ class Results:
     def table(self, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
         """Print a table in full width, with numbers aligned right and words left.
 
-        Print nothing if there are no rows.
+        It prints nothing if there are no rows.
         """
         if not rows or self._only_json:
             return

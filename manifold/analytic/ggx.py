@@ -128,7 +128,7 @@ class GGX:
     def D(self, wm: Array) -> Array:
         """Return the density of microfacet normals per solid angle and surface area in 1/sr, shape (...); 0 below.
 
-        Normalised so that the integral of D(wm) <wm, n> over the hemisphere is 1.
+        It is normalised so that the integral of D(wm) <wm, n> over the hemisphere is 1.
         """
         stretched = _squared_length(self.transform.T, wm)
         # <w_std, n>^4 / <w_m, n>^4 = 1 / |M^T w_m|^4, without the division by a grazing cosine.

@@ -80,8 +80,8 @@ class Plausibility:
             ... 85 degrees for a file.
         highlight_valley: relative depth of the deepest in-plane minimum within 20 degrees of the mirror direction, at
             incidences of 30, 45 and 60 degrees, averaged over the bands. The depth is relative to the lower of the
-            two maxima on either side of the minimum. It counts only as far as the geometric mean of the profile's two
-            sides of the mirror direction has it, because a rise towards grazing is not a dip.
+            two maxima on either side of the minimum. It is limited to the depth in the geometric mean of both sides
+            of the mirror direction, because a rise towards grazing on one side is not a dip.
         albedo_incidence_deg: elevation at which the albedo is largest.
 
     Anisotropic BRDFs are evaluated at eight azimuths of incidence, isotropic ones at one.

@@ -59,7 +59,7 @@ def srgb_reflectance(display: Array, bands: Bands) -> Array:
 
     Raises:
         ShapeError: the colour is not three values in [0, 1].
-    Source: as `srgb_spectra`.
+    Source: see `srgb_spectra`.
     """
     try:
         display = np.asarray(display, dtype=np.float64)

@@ -49,7 +49,7 @@ class LibraryError(ManifoldError, ValueError):
 
 
 class MissingLibraryError(LibraryError, FileNotFoundError):
-    """There is no such library."""
+    """A library does not exist."""
 
 
 class ModelError(ManifoldError, ValueError):
@@ -57,7 +57,7 @@ class ModelError(ManifoldError, ValueError):
 
 
 class MissingModelError(ModelError, FileNotFoundError):
-    """There is no such model."""
+    """A model does not exist."""
 
 
 class FetchError(ManifoldError, OSError):
@@ -81,7 +81,7 @@ class UsageError(ManifoldError, ValueError):
 
 
 class MissingFileError(UsageError, FileNotFoundError):
-    """There is no such file."""
+    """A file does not exist."""
 
 
 class FileAccessError(UsageError, OSError):

@@ -215,7 +215,7 @@ class Attributes:
     def parse(cls, options: Mapping[str, str | Iterable[str] | None]) -> Attributes | None:
         """Parse texts such as `+10` by key, or lists of texts such as `60=40` for gloss.
 
-        None if no attribute is given.
+        Returns None if no attribute is given.
         """
         wanted: dict[str, Wanted] = {}
         for name, given in options.items():

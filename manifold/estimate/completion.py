@@ -178,7 +178,7 @@ class Completion:
     def on_ball(self) -> Array:
         """Values f at all direction pairs of a lit sphere, shape (P_b, B).
 
-        If there are pictures, the sphere's pixels (K, 3).
+        If there are pictures, they are the sphere's pixels (K, 3) instead.
         """
         if self.atoms.is_linear:
             return (self.solution.weights @ self.atoms.on_ball).T
@@ -237,7 +237,10 @@ class Completion:
 
     @cached_property
     def colour_misfits(self) -> Array | None:
-        """CIEDE2000 between every reading and the completion there, shape (P,); None without colours. See `viewing`."""
+        """CIEDE2000 between every reading and the completion there, shape (P,), computed for `viewing`.
+
+        It is None if the readings have no colours.
+        """
         return None if self.colours is None else delta_e_2000_lab(*self.colours)
 
     @property
@@ -249,7 +252,7 @@ class Completion:
     def colours(self) -> tuple[Array, Array] | None:
         """CIELAB colours of the readings and of the completion there, each (P, 3).
 
-        None without colours. See `viewing`.
+        They are computed for `viewing`, and None if the readings have no colours.
         """
         bands = self.readings.bands
         if bands.count < 3 or ((nm := bands.wavelengths_nm) is not None and not nm[0] < _VISIBLE_NM < nm[-1]):
@@ -450,7 +453,7 @@ class Completion:
     def made_of(self) -> tuple[tuple[str, float], ...]:
         """Names of the completion's materials with their weights or, from pictures, shares of the sphere's light.
 
-        Largest first.
+        The list begins with the largest.
         """
         weights = self.solution.weights if self.atoms.is_linear else self.weights
         return self._materials(weights.mean(axis=0))
@@ -497,7 +500,7 @@ class Completion:
     def times_darker(self) -> float:
         """How many times darker the readings are than the library's darkest material, by mean cube roots.
 
-        0 without readings.
+        The factor is 0 without readings.
         """
         if self.evidence.at is None or self.evidence.readings is None:
             return 0.0

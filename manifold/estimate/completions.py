@@ -161,7 +161,7 @@ class Completed(Result):
     def left_out_readings(self) -> LeftOutReadings | None:
         """Errors of predicting each reading from the others.
 
-        None without readings, or with more than `MOST_READINGS`.
+        They are None without readings, or with more than `MOST_READINGS`.
         """
         return None if self._readings is None else left_out_readings(self.completion)
 

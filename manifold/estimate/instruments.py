@@ -382,7 +382,7 @@ def calibrate(paths: Sequence[Path], output: Path, *, allow_harm: bool = False) 
 def pairs_of(reference: Path, other: Path) -> tuple[list[tuple[Readings, Readings]], list[str]]:
     """Return pairs of readings of samples with the same name under two paths.
 
-    Also return a text for each sample without a partner that states the reason.
+    The second result holds a text for each sample without a partner, which states the reason.
     """
     if reference == other:
         raise UsageError(

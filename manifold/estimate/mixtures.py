@@ -131,7 +131,7 @@ class Mixtures:
     def alike(self, material_of: Indices, n_library: int | None = None) -> Alike:
         """Return the single atoms that explain the observations about as well as the best.
 
-        Arguments as in `posterior`.
+        The arguments are described in `posterior`.
         """
         n = self.n_atoms
         prior = material_prior(int(material_of[-1]), n_library, _WORLD_COATED)[material_of[:n]]
@@ -417,7 +417,7 @@ class GlossReadings:
     def differences(self, roots: Array) -> Array:
         """Return the relative differences (G,) of cube roots (B, G) from the measured gloss.
 
-        0 within one gloss unit.
+        Differences within one gloss unit are 0.
         """
         return gloss_differences(self._luminous(roots) ** 3 / self.unit, self.roots**3 / self.unit)
 

@@ -219,8 +219,8 @@ def _require_curved(photograph: Photograph, cylinder: Circle) -> None:
     if span < _LEAST_SPAN_DEG:
         raise UsageError(
             f"{photograph.path}: the normals of the visible part of the cylinder at {cylinder} span {span:.0f} "
-            f"degrees, expected {_LEAST_SPAN_DEG:g} or more: a nearly flat piece determines little; bend it over a thinner "
-            "cylinder, or give readings"
+            f"degrees, expected {_LEAST_SPAN_DEG:g} or more: a nearly flat piece determines little; bend it over a "
+            "thinner cylinder, or give readings"
         )
 
 

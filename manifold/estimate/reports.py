@@ -324,7 +324,7 @@ def angles_of(wi: Array, wo: Array) -> Array:
 def flop_index(angles: Array, lab: Array) -> float | None:
     """Return the flop index, how much a coating darkens away from the highlight (Alman 1987).
 
-    None if angles are missing.
+    Returns None if the necessary angles are missing.
     """
     lightness = []
     for wanted in _FLOP_DEG:

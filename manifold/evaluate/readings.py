@@ -174,7 +174,7 @@ class Curve:
 
     Attributes:
         counts: numbers of readings.
-        errors: of every left-out material at each of these numbers, each (N,).
+        errors: errors of every left-out material for each of these numbers, each (N,).
     """
 
     key: str

@@ -38,7 +38,7 @@ class FittedPrediction(Combination):
 
     @classmethod
     def of(cls, brdf: EvaluableBRDF | None, n_bands: int) -> FittedPrediction:
-        """Wrap all bands of a BRDF."""
+        """Return the prediction that uses all bands of a BRDF; None stands for a missing fit."""
         bands = np.arange(n_bands)
         return cls(Identity(), np.zeros((n_bands, 0)), bands[:0], is_clipped=False, brdf=brdf, bands=bands)
 

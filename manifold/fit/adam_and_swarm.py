@@ -1,7 +1,7 @@
 """Two earlier fitting methods, for comparison: two-stage Adam, and a particle swarm.
 
 Source: the measured-material pipeline of a game studio, and its predecessor of 2015 for a hand-held instrument of 20
-geometries. Where it gives no numbers (learning rate, penalty, window of the convergence test), those here are ours.
+geometries. They state no learning rate, penalty or window of the convergence test; the defaults here are our own.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ class FittedMinimum:
     """One minimum of the residual.
 
     Attributes:
-        values: by parameter; a list of three for a colour.
+        values: values by parameter; a list of three for a colour.
         residual: relative residual in the metric of the fit.
         as_good: whether noise can explain its difference from the best minimum.
         converged: whether the optimiser converged before its limit.

@@ -54,7 +54,10 @@ def without_hidden(record: Readings | DenseTable) -> Readings | DenseTable:
         return record  # nodes of half vectors share no incidence
     if not np.any(is_hidden):
         return record
-    note = f"{int(is_hidden.sum())} readings around the light are zero: the receiver blocks the light; they are left out"
+    note = (
+        f"{int(is_hidden.sum())} readings around the light are zero: the receiver blocks the light; "
+        "they are left out"
+    )
     if isinstance(record, Readings):
         return record.select_pairs(~is_hidden).with_note(note)
     values = np.where(is_hidden.reshape(*record.values.shape[:-1], 1), np.nan, record.values)

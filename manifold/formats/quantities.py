@@ -30,7 +30,7 @@ class Quantity:
         title: name of the quantity, in the plural.
         scale: f in 1/sr for a value of 1 at cosines of 1.
         cosines: angles whose cosines the values include: `i`, `o` or both.
-        base: base of the logarithm of the values; 0 if they are no logarithms.
+        base: base of the logarithm of the values; 0 if they are not logarithms.
     """
 
     title: str

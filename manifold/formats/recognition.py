@@ -70,7 +70,7 @@ def is_rgl(path: Path) -> bool:
 
 
 def is_fit(path: Path) -> bool:
-    """Return whether a file is the JSON of a fit, or is named like one."""
+    """Return whether a file is the JSON of a fit, or has the name of one."""
     return path.name.endswith(FIT_SUFFIX) or begins_with(path, _FIT_HEAD)
 
 

@@ -149,7 +149,7 @@ def data_lines(
 def plain_float(text: str) -> float:
     """Convert a text by Python's rules, or return NaN.
 
-    It is faster than `number`, which decides about texts without a finite number.
+    It is faster than `number`, which must be asked about texts for which this function returns NaN.
     """
     try:
         return float("nan") if "_" in text else float(text)

@@ -76,7 +76,7 @@ class Kernel(ABC):
         return self.smooth_and_slope(A, B)[0]
 
     def smooth_and_slope(self, A: Array, B: Array) -> tuple[Array, Array]:
-        """Return `smooth(A, B)`, and its slope as `pull_back` takes it, shape (M, N) both."""
+        """Return `smooth(A, B)`, and the slope that `pull_back` takes, both of shape (M, N)."""
         return self.radial(squared_distances(A, B) / self.length_scale**2)
 
     @property
@@ -89,7 +89,7 @@ class Kernel(ABC):
         return self.training_and_slope(X)[0]
 
     def training_and_slope(self, X: Array) -> tuple[Array, Array]:
-        """Return `training(X)`, and its slope as `gradient` takes it, shape (N, N) both."""
+        """Return `training(X)`, and the slope that `gradient` takes, both of shape (N, N)."""
         K, slope = self.smooth_and_slope(X, X)
         K.flat[:: len(K) + 1] = self.prior_variance
         return K, slope

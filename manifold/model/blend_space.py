@@ -120,7 +120,7 @@ class BlendSpace(LatentSpace):
     def of_landmarks(self) -> BlendSpace:
         """Return the map of the landmarks, with a length scale that suits their distances.
 
-        Without landmarks, this map.
+        A map without landmarks is returned itself.
         """
         if self.landmarks is None:
             return self

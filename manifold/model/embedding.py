@@ -146,7 +146,7 @@ class Embedding:
     def coherence(self) -> Coherence | None:
         """Return how well the map keeps similar materials together.
 
-        None for a model without calibration, or of version 0.4.
+        It is None for a model without calibration, or of version 0.4.
         """
         return Coherence.from_statistics(self.statistics)
 

@@ -215,7 +215,7 @@ class LeftOut:
     def from_arrays(cls, stored: Mapping[str, Array], space: LatentSpace) -> LeftOut | None:
         """Restore the errors from a file's arrays.
 
-        None if they were computed with other lights or by another version.
+        Returns None if they were computed with other lights or by another version.
         """
         names = _ARRAYS + tuple(_BLENDED + name for name in _LEAST if space.takes_colours)
         if not {_PREFIX + name for name in names} <= set(stored):

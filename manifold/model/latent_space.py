@@ -120,7 +120,7 @@ class LatentSpace(ABC):
     def around(self, x: Array) -> tuple[Indices, LatentSpace] | None:
         """Return the indices (n,) of the materials on which predictions at x (Q,) depend, and their space.
 
-        None means all.
+        Returns None if predictions may depend on all materials.
         """
         return None
 

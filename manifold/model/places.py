@@ -32,7 +32,7 @@ class Place:
     def is_step(self, colours: Array | None) -> bool:
         """Return whether the prediction is a step of a walk, computed from its two materials and not from the latent.
 
-        With given colours, the latent is used.
+        If colours are given, the prediction uses the latent, and the result is False.
         """
         return self.walk is not None and colours is None
 

@@ -48,7 +48,7 @@ def picture_of_fit(
 def picture_of_brdfs(title: str, sources: Sequence[ShownBRDF], output: Path) -> tuple[float, float]:
     """Draw a material and a substitute for it: balls in the studio, by quadrature, and slices.
 
-    Return CIEDE2000 and FLIP.
+    Returns the means of CIEDE2000 and FLIP over the ball.
     """
     balls = [framed(*studio_ball(source.brdf, _PIXELS)) for source in sources]
     return _draw(title, (balls[0][0], balls[1][0]), balls[0][1], sources, "studio", output)

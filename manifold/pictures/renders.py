@@ -148,7 +148,7 @@ def ball_material(
 def latent_material(
     model: Path, latent: PlaceLike, *, library: Path | None, colour: ColourChoice, direct: bool
 ) -> Iterator[tuple[BallMaterial, DiagnosedPrediction]]:
-    """Yield the prediction at a latent, as a `.bsdf` file during the block, or for `direct` evaluation."""
+    """Yield the prediction at a latent for rendering: as a temporary `.bsdf` file, or with `direct` as a plugin."""
     from manifold.estimate import predictions
     from manifold.model import diagnostics
     from manifold.model.manifold import load_model

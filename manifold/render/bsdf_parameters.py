@@ -158,7 +158,7 @@ class ParameterLayout:
         slices: slice of each parameter by name.
         owner: index of the parameter of each place.
         size: K.
-        minimum, maximum, default, tolerance: of each place, shape (K,).
+        minimum, maximum, default, tolerance: these properties of the parameter at each place, shape (K,).
         is_per_band: whether the parameter of a place is per band, bool (K,).
         labels: name of each place, with the index of the band if the parameter is per band.
     """

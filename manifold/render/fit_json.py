@@ -69,9 +69,9 @@ def family_of(content: Any, file: str) -> BsdfFamily:
 
 
 def require_fit(content: Any, file: str) -> None:
-    """Check that plain values are a usable fit.
+    """Raise FileFormatError unless the content of a file is a valid fit.
 
-    FileFormatError names the file and the first entry that is not valid.
+    The message names the file and the first invalid entry.
 
     Values must lie in the ranges of their parameters, and the entries that Mitsuba loads must agree with them.
     """
@@ -175,12 +175,12 @@ class FitSource:
 
 
 def signed(content: dict[str, Any]) -> dict[str, Any]:
-    """Return plain values with a hash added that reveals later changes."""
+    """Return the content of a fit with a hash added, which reveals later changes."""
     return content | {"sha256": _digest(content)}
 
 
 def is_untouched(content: dict[str, Any]) -> bool:
-    """Return whether plain values are unchanged since `document` made them."""
+    """Return whether the content of a fit is unchanged since it was written, according to its hash."""
     return content.get("sha256") == _digest(content)
 
 
@@ -190,12 +190,12 @@ def _digest(content: dict[str, Any]) -> str:
 
 
 def write_document(path: Path, content: dict[str, Any]) -> None:
-    """Write the plain values of `document` to a file."""
+    """Write the content of a fit to a JSON file."""
     disk.write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 
 def read(path: Path) -> dict[str, Any]:
-    """Read and validate the plain values of a written fit."""
+    """Read and validate the content of a written fit."""
     content: dict[str, Any] = disk.read_json(path, "a .bsdf file or the JSON of a fit")
     require_fit(content, path.name)
     return content

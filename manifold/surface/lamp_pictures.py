@@ -73,7 +73,7 @@ class SurfacePictures:
     def factors(self) -> Array:
         """Return the ratio of each picture's mean colour to that of its reading, shape (J, 3).
 
-        NaN without a reading.
+        It is NaN for pictures without a reading.
         """
         return np.asarray(self.values.mean(axis=(1, 2)) / self.means)
 

@@ -58,7 +58,7 @@ _LAMBDA_SMOOTH = np.array([25.3245, 3.32435, 0.16801, -1.27393, -4.85967])
 
 
 def parameters(material: PrincipledValues) -> dict[str, Any]:
-    """Return the parameters that start a fit, all of `DEFAULTS`."""
+    """Return all parameters in `DEFAULTS` for a material, as the start of a fit."""
     alpha_x, alpha_y = material.alphas
     made = DEFAULTS | {
         "baseColorFactor": list(material.base_color),

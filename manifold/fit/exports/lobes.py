@@ -175,9 +175,9 @@ def _at_alpha(table: Callable[..., Array], alpha: float, *arguments: Any) -> Arr
 
 
 def cubic(at: Array | float, count: int) -> tuple[Indices, tuple[Array, Array, Array, Array]]:
-    """Interpolate by cubics between `count` nodes 0, 1, 2 and so on.
+    """Interpolate by cubics between `count` nodes at 0, 1, 2 and so on.
 
-    Return the first of four nodes, and the weights of each.
+    Returns the index of the first of the four nodes around each position, and the weights of the four.
     """
     first = np.clip(np.asarray(at).astype(int) - 1, 0, count - 4)
     a = at - first

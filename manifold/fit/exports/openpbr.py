@@ -49,7 +49,7 @@ FILM = ("thin_film_weight", "thin_film_thickness", "thin_film_ior")
 
 
 def parameters(material: PrincipledValues) -> dict[str, Any]:
-    """Return the parameters that start a fit, all of `DEFAULTS`."""
+    """Return all parameters in `DEFAULTS` for a material, as the start of a fit."""
     made = DEFAULTS | {
         "base_color": list(material.base_color),
         "base_metalness": material.metallic,
@@ -93,8 +93,8 @@ def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
     """Return the material's BRDF, f in 1/sr, shape (P, 3).
 
     Args:
-        values: all of `DEFAULTS`.
-        pairs: P of them.
+        values: values of all parameters in `DEFAULTS`.
+        pairs: P direction pairs.
 
     The BRDF below a layer is scaled by one minus the layer's directional albedo towards the viewer.
 

@@ -34,8 +34,8 @@ def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
     """Return the material's BRDF, f in 1/sr, shape (P, 3).
 
     Args:
-        values: all parameters of `openpbr.DEFAULTS`.
-        pairs: P of them.
+        values: values of all parameters in `openpbr.DEFAULTS`.
+        pairs: P direction pairs.
     Source: github.com/adobe/openpbr-bsdf at a29da96, reflection of opaque surfaces seen from outside.
     """
     pairs = pairs.turned(np.deg2rad(values["geometry_tangent"]))

@@ -63,8 +63,8 @@ def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
     """Return the material's BRDF, f in 1/sr, shape (P, 3).
 
     Args:
-        values: all of `DEFAULTS`.
-        pairs: P of them.
+        values: values of all parameters in `DEFAULTS`.
+        pairs: P direction pairs.
 
     The lobes, which the specification leaves open, are those of OpenUSD's own previewSurface: GGX with Schlick's
     masking, the diffuse part scaled by one minus the Fresnel term, and the coat added.

@@ -101,8 +101,8 @@ def film_over_f82_materialx(ior: float, thickness_nm: float, f0: Array, edge: Ar
 
     Args:
         ior, thickness_nm, cosine: as in `film_over_f0`.
-        f0, edge: of the metal without the film, shape (3,).
-    Source: MaterialX 1.39, mx_fresnel_airy, which takes half of the metal's reflectance for each polarisation.
+        f0, edge: F82-tint colours of the metal without the film, shape (3,).
+    Source: MaterialX 1.39, mx_fresnel_airy, which assigns half of the metal's reflectance to each polarisation.
     """
     inside = _refracted(cosine, ior)
     below = 0.5 * fresnel_f82(f0, edge, inside)
@@ -149,7 +149,7 @@ def film_over_index_cycles(ior: float, thickness_nm: float, n: float, cosine: Ar
 
     Args:
         ior, thickness_nm, cosine: as in `film_over_f0`.
-        n: of the dielectric, relative to the outside.
+        n: index of the dielectric, relative to the outside.
     Source: Cycles 5.0, bsdf_util.h.
     """
     index, none = np.full(3, n), np.zeros(3)
@@ -164,7 +164,7 @@ def film_over_f82(ior: float, thickness_nm: float, f0: Array, edge: Array, cosin
 
     Args:
         ior, thickness_nm, cosine: as in `film_over_f0`.
-        f0, edge: of the metal without the film, shape (3,).
+        f0, edge: F82-tint colours of the metal without the film, shape (3,).
     Source: Cycles 5.0: the reflectance of the metal below the film by F82, the phases by indices (Gulbrandsen 2014).
     """
     at = np.full(1, 1.0 / 7.0)

@@ -80,8 +80,8 @@ def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
     """Return the material's BRDF for lights without extent, f in 1/sr, shape (P, 3).
 
     Args:
-        values: all of `DEFAULTS`.
-        pairs: P of them.
+        values: values of all properties in `DEFAULTS`.
+        pairs: P direction pairs.
     Source: Lit.hlsl, CommonMaterial.hlsl and BSDF.hlsl of HDRP 14: Burley's diffuse term over 1.03571, GGX, Schlick,
     and multiple scattering between facets after Turquin 2019.
     """

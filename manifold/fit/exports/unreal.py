@@ -74,8 +74,8 @@ def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
     """Return the material's BRDF, f in 1/sr, shape (P, 3).
 
     Args:
-        values: all of `DEFAULTS`.
-        pairs: P of them.
+        values: values of all inputs in `DEFAULTS`.
+        pairs: P direction pairs.
 
     The coat attenuates the layers below by its Fresnel term, on the way in and on the way out.
 

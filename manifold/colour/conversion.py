@@ -84,8 +84,8 @@ def warn_if_invisible(bands: Bands) -> None:
     low, high = VISIBLE_NM
     if not any(low <= nm <= high for nm in bands.wavelengths_nm or VISIBLE_NM):
         warnings.warn(
-            f"{bands}: they have no colour, expected bands between {low:g} and {high:g} nm; red, green and blue "
-            "continue the nearest bands",
+            f"{bands} are not visible and have no colour, expected bands between {low:g} and {high:g} nm; the colours "
+            "shown are those of the nearest bands, extrapolated",
             InvisibleBandsWarning,
             stacklevel=4,
         )

@@ -85,7 +85,7 @@ _LIGHTS: Columns = (
 _LIGHTS_NOTE = (
     "Median CIEDE2000 of the ball in lights that no fit uses: studio, uniform white, suns at these angles from the "
     "view, in degrees.",
-    "worst: in each material's worst light, median and 90th percentile.",
+    "worst, p90: median and 90th percentile over the materials, each in its worst light.",
 )
 
 

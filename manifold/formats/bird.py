@@ -109,7 +109,7 @@ def _variable(
     ):
         raise context.error("has values that are not numbers of at least 0", field=key)
     if count is not None and len(values) != count:
-        raise context.error(f"has {len(values)} values, expected {count}, as BRDF has", field=key)
+        raise context.error(f"has {len(values)} values, expected {count}, as many as the BRDF has", field=key)
     return np.array(values, dtype=np.float64), str(variable.get("unit", ""))
 
 

@@ -411,7 +411,7 @@ def _geometry_columns(
         is_lost = k < max(bands) and k != geometry and k not in gloss
         if k not in bands and heads[k] and (is_lost or number(heads[k]) is not None):
             raise context.error(
-                f"found '{heads[k][:24]}' among wavelengths, expected nm",
+                f"found '{heads[k][:24]}' among wavelengths, expected a number in nm",
                 table.where(index, k),
                 remedy=NEW_HEADER,
             )

@@ -174,7 +174,7 @@ def test_conversions_say_what_readings_leave_open(files, tmp_path):
     assert said(one, ".csv") == ""
     low = np.flatnonzero(whole.wo[:, 2] > 0.7)
     few = [low[np.isclose(whole.wi[low, 2], z, atol=1e-5)][::9][:15] for z in steps]
-    assert "interpolated between" in said(whole.select_pairs(np.concatenate(few)), ".bsdf")
+    assert "readings were interpolated" in said(whole.select_pairs(np.concatenate(few)), ".bsdf")
 
 
 def test_bands_that_were_not_measured_stay_so(files, tmp_path):

@@ -360,7 +360,7 @@ def _place(row: dict[str, str]) -> tuple[float, ...] | str:
     if axes:
         if [k for k, _ in axes] != list(range(len(axes))):
             raise UsageError(
-                "the columns of coordinates have gaps, expected x1, x2, ... or x, y, z: give one for each axis of the map"
+                "found gaps among the coordinates, expected columns x1, x2, ... or x, y, z, one for each axis"
             )
         return tuple(_coordinate(row[column], column) for _, column in axes)
     if "material" in row:

@@ -177,7 +177,9 @@ class PhotoOptions:
             if exposure not in ("free", "each"):
                 known = float(exposure)
         except ValueError:
-            raise UsageError(f"--exposure '{exposure}', expected a number above 0, each or free") from None
+            raise UsageError(
+                f"--exposure '{exposure}', expected a number above 0, 'each' or 'free'"
+            ) from None
         far = float("inf") if self.distance is None else self.distance
         return PhotoRequest(
             list(pictures), self.light or (), self.cylinder or self.circle or (), self.turn or (0.0,), self.elevation,

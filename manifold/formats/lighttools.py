@@ -122,14 +122,14 @@ def _stack(
         raise context.error(f"AOI {max(abs(a) for a, _ in incidences):g}, expected 0 to 90 degrees")
     if len(bands) * len(incidences) != len(blocks):
         raise context.error(
-            f"{len(blocks)} blocks, expected one of each of {len(bands)} bands at each of {len(incidences)} "
-            "incidences, with bands given by Wavelength, or by TristimulusValue TrisX, TrisY and TrisZ"
+            f"found {len(blocks)} blocks, expected one for each of {len(bands)} bands at each of {len(incidences)} "
+            "incidences; bands are named by Wavelength, or by TristimulusValue TrisX, TrisY and TrisZ"
         )
     values = np.full((len(incidences), blocks[0].values.size, len(bands)), np.nan)
     for block, label, incidence in zip(blocks, labels, angles, strict=True):
         values[incidences.index(incidence), :, bands.index(label)] = block.values.reshape(-1)
     if np.any(np.isnan(values)):
-        raise context.error("two blocks of the same incidence and band, expected one of each")
+        raise context.error("found two blocks with the same incidence and band, expected one")
     if is_xyz:
         if len(bands) != 3:
             raise context.error(f"{len(bands)} tristimulus values, expected X, Y and Z")

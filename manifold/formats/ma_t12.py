@@ -138,7 +138,9 @@ def _xml_parts(data: bytes, context: ErrorContext) -> io.BytesIO:
                     remedy="name another file",
                 )
             if len(parts) > _MOST_PARTS:
-                raise context.error(f"{len(parts)} parts, expected a spectrophotometer's workbook of fewer")
+                raise context.error(
+                    f"the archive has {len(parts)} parts, expected at most {_MOST_PARTS} in an instrument's workbook"
+                )
             is_xml = [read_part(archive, part, _HEAD).lstrip(_BEFORE_XML).startswith(b"<") for part in parts]
             unpacked = sum(part.file_size for part in compress(parts, is_xml))
             if unpacked > _LARGEST_SHEETS:

@@ -78,7 +78,7 @@ _MOST_SHOWN = 20  # options in a help; `--help-all` shows all
 
 
 def load(names: Iterable[str]) -> None:
-    """Import the modules of commands, and make options of the dataclasses among their parameters."""
+    """Import the modules of commands, and expand dataclasses among their parameters into options."""
     for module in dict.fromkeys(COMMANDS[name][0] for name in names):
         import_module(f".{module}_commands", __package__)
     for each in app.registered_commands:
@@ -107,7 +107,7 @@ class Command(TyperCommand):
         return super().get_help(ctx)
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write arguments by their names alone, then options by panel, those for experts only on request."""
+        """Write the names of the arguments, then the options by panel; options for experts appear only on request."""
         arguments, panels = [], {panel: [] for panel in _PANELS}
         for parameter in self.get_params(ctx):
             if parameter.param_type_name == "argument":
@@ -148,10 +148,13 @@ class Group(TyperGroup):
 
 
 class Application(typer.Typer):
-    """A Typer of such commands."""
+    """The Typer application."""
 
     def only(self, command: str | None) -> Any:
-        """Return the Click group of one command; if there is none of this name, names and lines of all commands."""
+        """Return the Click group of one command.
+
+        For an unknown name, it is a group that lists the names of all commands with their one-line helps.
+        """
         known = [command] if command in COMMANDS else []
         load(known)
         chosen = copy(self)

@@ -1,4 +1,4 @@
-"""Options of commands that make many files, or whose work several processes share, and the report on them."""
+"""Options of commands that write many files or use several processes, and the output of such commands."""
 
 from __future__ import annotations
 
@@ -57,14 +57,14 @@ SchedulerOption = Annotated[
 
 @dataclass(frozen=True)
 class WorkerOptions:
-    """Who shares the work of a command: by default a process per core."""
+    """Options for the processes that share the work of a command: by default one per core."""
 
     workers: Annotated[int | None, _workers_option("one per core, for several materials")] = None
     scheduler: SchedulerOption = None
     default: ClassVar[int | None] = None
 
     def executor(self) -> AbstractContextManager[Executor | None]:
-        """Return the executor for `work.run`, to enter."""
+        """Return a context manager for the executor that `work.run` takes."""
         from manifold.core import work
 
         if self.scheduler is None:
@@ -80,7 +80,7 @@ class WorkerOptions:
 
 @dataclass(frozen=True)
 class OneWorkerOptions(WorkerOptions):
-    """Worker options whose default is this process."""
+    """Worker options with the default of running in this process."""
 
     workers: Annotated[int | None, _workers_option("1")] = None
     default: ClassVar[int | None] = 1
@@ -88,7 +88,7 @@ class OneWorkerOptions(WorkerOptions):
 
 @dataclass(frozen=True)
 class ThreadOptions(OneWorkerOptions):
-    """Worker options whose default is threads of this process."""
+    """Worker options with the default of threads of this process."""
 
     workers: Annotated[int | None, _workers_option("one process with several threads")] = None
 
@@ -113,7 +113,7 @@ PointsOption = Annotated[
 
 
 def is_many(sources: Sequence[MaterialSource], output: Path | None) -> bool:
-    """Return whether sources need a folder: several, a folder or a library, or if the output is a folder."""
+    """Return whether the output must be a folder: for several sources, a folder or a library, or if it is one."""
     from manifold.estimate import inputs
 
     return inputs.is_many(sources) or (output is not None and output.is_dir())
@@ -126,10 +126,10 @@ def inputs_of(
     *,
     samples: bool = False,
 ) -> list[Input] | None:
-    """Return the materials of several sources, a folder, a library or a file of several samples; None for one.
+    """Return the materials of several sources, a folder, a library or a file of several samples; None for one material.
 
-    An output folder that is there is for several. Wanted files of folders are RGL files by default; with `samples` a
-    file of several is several materials.
+    An existing output folder means several. By default only RGL files of folders are used; with `samples`, each
+    sample of a file is a material.
     """
     from manifold.estimate import inputs
     from manifold.estimate.sources import FileSource
@@ -147,7 +147,7 @@ def inputs_of(
 
 
 def require_folder(output: Path | None, outputs: str, suffix: str = ".bsdf") -> None:
-    """Raise UsageError where an output that is to be a folder is named like a file, of a suffix or of any other."""
+    """Raise UsageError if an output that must be a folder is named like a file, with this or any other suffix."""
     if output is not None and output.suffix.lower() in (*_FILES, suffix) and not output.is_dir():
         raise UsageError(f"{output}: named like a file, expected a folder for {outputs}")
 
@@ -157,10 +157,10 @@ def make_many(
     workers: AbstractContextManager[Executor | None] | None = None, *, outputs: str = "many files; name another",
     failed: Sequence[str] = (), then: Callable[[Batch[S]], object] | None = None,
 ) -> None:  # fmt: skip
-    """Make the outputs of a command in a folder, by default its own, and print a line of each.
+    """Make the outputs of a batch command in a folder, by default its usual folder, and print a line for each.
 
-    `outputs` says what the folder is for, and what to do; `failed` what is wrong with other sources; `then` is called
-    with what was made, before it is printed. For workers see `WorkerOptions.executor`.
+    `outputs` is the text of the error for an invalid folder, `failed` holds the errors of other sources, and `then`
+    is called with the outcomes before they are printed. For `workers` see `WorkerOptions.executor`.
     """
     from manifold.estimate import inputs
     from manifold.many.batch import MEASURED, Batch, batch, cell, notes_of

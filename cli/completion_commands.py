@@ -57,20 +57,20 @@ class LabOptions(options.ViewingOptions):
 
     @property
     def parsed(self) -> Array:
-        """CIELAB of the one colour under D65, 2 degrees, (3,)."""
+        """The given colour as CIELAB (3,) under D65 and the 2 degree observer."""
         from manifold.estimate import completions
 
         return completions.parse_lab(self.lab or "", self.viewing())
 
     @property
     def is_file(self) -> bool:
-        """Whether they name a file of colours."""
+        """Whether the options name a file of colours."""
         return self.lab is not None and Path(self.lab).is_file()
 
 
 @dataclass(frozen=True)
 class MadeOptions(options.FileOptions):
-    """What is made of an estimate."""
+    """Options for the outputs of an estimate."""
 
     picture: Annotated[
         bool,
@@ -95,7 +95,7 @@ class MadeOptions(options.FileOptions):
     ] = None
 
     def ball(self, target: Path) -> Path | None:
-        """Return where the ball of a file is drawn; None if it is not wanted."""
+        """Return the path for the picture of a file's sphere; None if no picture is requested."""
         return checked(target.with_suffix(".png"), "picture") if self.picture else None
 
 

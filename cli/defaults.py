@@ -1,4 +1,4 @@
-"""Libraries and models that commands take if none is given: the user's own, else the built-in ones."""
+"""Selects the library and model for commands without such options: the user's own, otherwise the built-in ones."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ _WRITERS = ("import", "compact", "embed")
 
 
 def use_built_in(context: Any) -> None:
-    """Take the built-in library and model if neither is given nor there, and say so when one is opened.
+    """Use the built-in library and model if none is given and the default paths do not exist.
 
-    The built-in model also goes with the built-in library, if that is given.
+    A message on stderr says so when one is opened. If the built-in library is given, the built-in model is used with
+    it.
     """
     values, name = context.params, context.command.name
     if name in _WRITERS or not {"library", "model"} & values.keys():

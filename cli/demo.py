@@ -1,4 +1,4 @@
-"""The work behind `manifold demo`: a measured material from 12 readings, then all main steps on a synthetic corpus."""
+"""Implements `manifold demo`: completes a measured material from 12 readings, then runs all steps on synthetic data."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ ILLUMINANTS = ("D65", "F11")
 """Illuminants under which the demo renders its prediction: daylight, and with `--all` a fluorescent lamp."""
 
 ALONE = 0.98
-"""Least share of the weights halfway between two materials for the demo to predict there: a value between their cube
-roots then changes by about 6 % at most, and no third material is seen."""
+"""Smallest share of two materials in the weights halfway between them for the demo to predict there. A value between
+their cube roots then changes by at most about 6 %, and no third material is visible."""
 
 CHARTED = (
     "nearest", "linear", "published", "pca_6_cube-root", "gplvm_2_cube-root", "gplvm_6_cube-root",
@@ -80,7 +80,7 @@ _CAPTIONS = (
     "The completed material and the measured one, as balls in the studio",
     "Values of both in the plane of incidence",
 )
-_NO_MITSUBA = "nothing is rendered, since Mitsuba is missing"
+_NO_MITSUBA = "nothing is rendered, because Mitsuba is missing"
 _STYLE = """
 :root { color-scheme: light dark; font: 16px/1.5 system-ui, sans-serif; }
 body { max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
@@ -98,10 +98,10 @@ class Made:
     """A result of the demo.
 
     Attributes:
-        what: a sentence.
-        paths: its files, the one to look at first.
-        look: how to look at it: a command, or a file to open.
-        seconds: since the demo began.
+        what: a sentence that describes the result.
+        paths: its files, the most interesting first.
+        look: a command to run or a file to open to see it.
+        seconds: time since the demo began.
     """
 
     what: str
@@ -116,8 +116,8 @@ class CompletedMaterial:
 
     Attributes:
         true, expected: errors of the completion, CIEDE2000 of the ball.
-        left_out: true errors of all materials that are completed in this way, (N,).
-        pictures: of its ball and values beside the measured ones.
+        left_out: true errors of all N materials when they are completed in this way, shape (N,).
+        pictures: pictures of its sphere and values beside the measured ones.
     """
 
     name: str
@@ -129,7 +129,7 @@ class CompletedMaterial:
 
     @property
     def words(self) -> str:
-        """What it is and how far it is off."""
+        """A text that describes the completion and its error."""
         return (
             f"{self.name}, a measured material, completed from 12 simulated readings of a multi-angle "
             f"spectrophotometer with the other {len(self.left_out) - 1} materials of the built-in library: off by "
@@ -162,11 +162,11 @@ def run(
 
     The prediction has renders and a fit, and the model a report.
 
-    Measured materials, library and fit of an earlier demo in the folder are kept; all else is made anew. Without
-    Mitsuba nothing is rendered.
+    Measured materials, library and fit of an earlier demo in the folder are kept; everything else is made again.
+    Nothing is rendered without Mitsuba.
 
     Args:
-        folder: where everything goes; made if missing.
+        folder: folder for all files; it is created if missing.
         everything: also draw the second light, the fit, the map as balls and a walk, and run a chart, failure modes
             and budgets (minutes).
         announce: called with every result when it exists.
@@ -256,7 +256,7 @@ def run(
 
 
 def complete_measured(folder: Path) -> CompletedMaterial:
-    """Complete the built-in material of median error from simulated readings with the others; draw both."""
+    """Complete the built-in material of median error from simulated readings with the others, and draw it."""
     library = Library(shipped.BUILT_IN)
     atoms = atoms_of(library)
     measured = MeasuredBRDF(library.read(atoms.names[0]))
@@ -284,7 +284,10 @@ def complete_measured(folder: Path) -> CompletedMaterial:
 
 
 def pair_to_show(model: Manifold, pairs: Sequence[Pair]) -> Pair:
-    """Return the typical pair of those that no third material has a part in halfway on the map; else of all."""
+    """Return the typical pair among pairs whose midpoint on the map has no third material.
+
+    If there is no such pair, it is the typical pair among all.
+    """
 
     def share(pair: Pair) -> float:
         both = model.names[pair.first], model.names[pair.second]

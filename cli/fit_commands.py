@@ -92,7 +92,7 @@ def fit(
         raise UsageError("no material is given; give files, materials of the library, or places on the map")
     places = [source for source in materials if isinstance(source, PlaceSource)]
     if places and sample is not None:
-        raise UsageError("--sample is of a file of readings; leave it or the places out")
+        raise UsageError("--sample goes with a file of readings; leave it or the places out")
     if sample is not None and len(materials) > 1:
         raise UsageError(f"sample {sample} of {len(materials)} files, expected one file; name one")
     if bsdf is not None and (free is not None or wide_colours):
@@ -239,9 +239,7 @@ def export(
     """
     results = terminal.Results(json)
     if pack is not None and output is not None:
-        raise UsageError(
-            f"found --pack {pack} and -o {output}, expected one of them: both are where to write"
-        )
+        raise UsageError(f"found --pack {pack} and -o {output}, expected one of them: both name the output")
     if not sources:
         if pack is None:
             raise UsageError(

@@ -70,8 +70,8 @@ def __getattr__(name: str) -> Any:
 def run(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with its status.
 
-    0: done. 2: the command line cannot be followed. 1: anything else that went wrong, such as a file that is missing or
-    damaged, or cannot be written. 130: interrupted. 141: the reader of the output has ended.
+    The status is 0 for success, 2 for a wrong command line, 1 for any other error (such as a file that is missing,
+    damaged or cannot be written), 130 if interrupted, and 141 if the reader of the output has ended.
     """
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     debug, strict = "--debug" in arguments, "--strict" in arguments
@@ -96,7 +96,7 @@ def run(arguments: list[str] | None = None) -> None:
     try:
         # A shell's variable that is not set; as a path, Python takes it for the current folder.
         if "" in arguments:
-            raise UsageError("found an empty argument, expected a value")
+            raise UsageError("found an empty argument; give a value or leave it out")
         group = application.app.only(command)
         status = group(args=arguments or ["--help"], prog_name="manifold", standalone_mode=False)
         sys.stdout.flush()

@@ -1,4 +1,4 @@
-"""Commands about models: embed, predict, locate; and reconstruct, which needs none."""
+"""Commands about models: embed, predict and locate; and reconstruct, which needs no model."""
 
 from __future__ import annotations
 
@@ -166,8 +166,9 @@ def embed(
         bool,
         typer.Option(
             "--as-published",
-            help="Follow Hikichi & Iwasaki to the letter: raw values without weights at 90 x 90 x 180 direction pairs, "
-            "fixed output variance 1, direct local search from the principal components, two dimensions.",
+            help="Use the method exactly as published (Hikichi & Iwasaki): raw values without weights at 90 x 90 x 180 "
+            "direction pairs, fixed output variance 1, direct local search from the principal components, and two "
+            "dimensions.",
         ),
     ] = False,
     without: WithoutOption = None,
@@ -307,7 +308,7 @@ def _notes_of_turns(first: str, second: str, angle_rad: float) -> dict[str, str]
     degrees = math.degrees(angle_rad)
     if degrees < _LEAST_TURN_DEG:
         return {}
-    turned = f"{first} and {second} lie turned by {degrees:.0f} degrees against each other"
+    turned = f"{first} and {second} are turned by {degrees:.0f} degrees relative to each other"
     return {"orientations": f"{turned}; manifold import --replace --rotation auto aligns anisotropic samples"}
 
 

@@ -54,7 +54,7 @@ ModelOption = Annotated[
 
 @dataclass(frozen=True)
 class ColourOptions:
-    """The colour of a prediction: by default its own."""
+    """Options for the colour of a prediction; by default its colour is blended."""
 
     like: Annotated[
         str | None,
@@ -82,9 +82,9 @@ class ColourOptions:
     ] = None
 
     def choice(self, *, refused: str | None = None) -> ColourChoice:
-        """Return the chosen colour.
+        """Return the given colour.
 
-        If nothing can be coloured, `refused` names the commands that take these options, and why.
+        If the command cannot use a colour, `refused` is the text of the error.
         """
         from manifold.model.colours import ColourChoice
 
@@ -95,7 +95,7 @@ class ColourOptions:
 
 @dataclass(frozen=True)
 class AttributeOptions:
-    """Attributes that a prediction should have, by key of `attributes.ATTRIBUTES`: by default its own."""
+    """Options for attributes that a prediction should have, by key of `attributes.ATTRIBUTES`."""
 
     gloss: Annotated[
         list[str] | None,
@@ -171,7 +171,7 @@ IncidencesOption = Annotated[
 
 @dataclass(frozen=True)
 class FileOptions:
-    """How the file of an estimate is written."""
+    """Options for writing the file of an estimate."""
 
     physical: PhysicalOption = False
     resolution: ResolutionOption = 32
@@ -189,7 +189,7 @@ class FileOptions:
 
     @property
     def written(self) -> OutputOptions:
-        """What the writer takes of them."""
+        """The options in the form that the writer takes."""
         from manifold.core.defaults import FINE_INCIDENCES
         from manifold.model.output_file import OutputOptions
 
@@ -199,7 +199,7 @@ class FileOptions:
 
 @dataclass(frozen=True)
 class ViewingOptions:
-    """Light and observer of Lab values: by default those of the file, or D65 and 2 degrees."""
+    """Options for the light and observer of CIELAB values: by default those of the file, or D65 and 2 degrees."""
 
     illuminant: Annotated[
         str | None,
@@ -229,7 +229,7 @@ class ViewingOptions:
 
     @property
     def given(self) -> Viewing | None:
-        """Light and observer that are given; None if neither is."""
+        """The given light and observer; None if neither is given."""
         return None if self.illuminant is None and self.observer is None else self.viewing()
 
 
@@ -256,7 +256,7 @@ UnitOption = Annotated[
 
 
 def material_source(text: str, model: Path, library: Path | None) -> MaterialSource:
-    """Return the material that an argument names; without the default model, names are those of the default library."""
+    """Return the material that an argument names; if the default model does not exist, the default library is used."""
     from manifold.estimate.sources import parse_source
 
     has_model = model != DEFAULT_MODEL or shipped.exists(model)
@@ -264,7 +264,7 @@ def material_source(text: str, model: Path, library: Path | None) -> MaterialSou
 
 
 def several_materials(texts: Sequence[str], model: Path, library: Path | None) -> list[MaterialSource]:
-    """Return the materials that arguments name; patterns such as `*.bsdf` stand for their matches."""
+    """Return the materials that arguments name; patterns such as `*.bsdf` are expanded."""
     from manifold.core.disk import matching
 
     return [material_source(each, model, library) for text in texts for each in matching(text)]

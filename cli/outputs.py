@@ -1,4 +1,4 @@
-"""Checks of outputs: one may replace an existing file, but no input of its command, and nothing in a library."""
+"""Checks outputs: they may replace existing files, but no input of the command, and nothing in a library."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def written(*names: str, help: str, metavar: str = "FILE", hidden: bool = False,
 
 
 def check_all(command: Callable[..., Any], parameters: Mapping[str, Any]) -> None:
-    """Check the outputs among the parameters of a command that begins to run; raises UsageError as `checked`.
+    """Check the outputs among the parameters of a command before it runs; raises UsageError like `checked`.
 
-    The JSON of an earlier run is removed: a command that fails leaves none.
+    The JSON of an earlier run is removed, so that a command that fails leaves no JSON.
     """
     hints = get_type_hints(command, include_extras=True)
     found = {
@@ -64,7 +64,7 @@ def or_default(output: Path | None, default: str) -> Path:
 
 
 def checked(path: Path, name: str = "output") -> Path:
-    """Return a path that the running command may write to, after a check that names its parameter."""
+    """Return a path to which the running command may write, after checking it; the error names the parameter."""
     from manifold.library.identity import require_outside_libraries
 
     if str(path) == "-":

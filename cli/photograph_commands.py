@@ -155,7 +155,7 @@ class PhotoOptions:
     ] = None
 
     def request_of(self, pictures: Sequence[Path]) -> PhotoRequest:
-        """Return what these options say of pictures. Raises UsageError if they contradict each other."""
+        """Return the request that these options make for pictures. Raises UsageError if they contradict each other."""
         from manifold.estimate.sightings import PhotoRequest
 
         if sum(map(bool, (self.light, self.lamp, self.light_ball))) != 1:
@@ -180,7 +180,9 @@ class PhotoOptions:
             if exposure not in ("free", "each"):
                 known = float(exposure)
         except ValueError:
-            raise UsageError(f"--exposure '{exposure}', expected a number above 0, each or free") from None
+            raise UsageError(
+                f"--exposure '{exposure}', expected a number above 0, 'each' or 'free'"
+            ) from None
         far = float("inf") if self.distance is None else self.distance
         return PhotoRequest(
             list(pictures), self.light or (), self.cylinder or self.circle or (), self.turn or (0.0,), self.elevation,
@@ -256,7 +258,7 @@ def photograph(
 
 
 def suggest_lamps(results: terminal.Results, library: Path, count: int) -> None:
-    """Print where to hold the lamp for the first pictures."""
+    """Print the suggested positions of the lamp for the first pictures."""
     from manifold.estimate.lamp_plan import plan_lamps
 
     with progress.shown("Leaving materials out"):
@@ -306,7 +308,7 @@ def show_completed(
 ) -> None:
     """Print a completed material: its rows, its report, the next command and the first notes.
 
-    The next command exports it, or suggests more readings if it is not to be used.
+    The next command exports the material or, if it should not be used yet, suggests more readings.
     """
     from manifold.estimate.completions import NextStep
 
@@ -340,7 +342,7 @@ def show_pictures(results: terminal.Results, made: Photographed) -> None:
 
 
 def show_plan(results: terminal.Results, plan: LampPlan, beside: str) -> None:
-    """Print where to hold a lamp."""
+    """Print the suggested positions of a lamp."""
     from manifold.core.judged_lights import LIGHTS
 
     heads = ("lamp from the camera", "ball", "colour", "gloss 60", "flop")

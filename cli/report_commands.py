@@ -417,7 +417,10 @@ def _show_budget(results: terminal.Results, budget: Budget) -> None:
         results.sentence(
             f"{chosen.material}: {chosen.lighting}; {chosen.reason}; noise {chosen.noise.rendered:.2f}, subtracted"
         )
-    results.text("pred., verified: CIEDE2000 in the scene's light, mean; ms: of a million evaluations\n")
+    results.text(
+        "pred., verified: predicted and verified mean CIEDE2000 in the scene's light; "
+        "ms: time of a million evaluations in milliseconds\n"
+    )
     results.text(f"{budget.bytes} of {budget.full_bytes} bytes, {_share(budget)} of the whole files\n")
     for note in budget.notes:
         results.sentence(f"note: {note}")

@@ -37,7 +37,10 @@ _WIDTH = 80  # columns that sentences and lists are broken to; a line with a sin
 
 
 def begin(strict: bool) -> None:
-    """Start the clock of silence, and forget the warnings of an earlier command; strict: warnings are errors."""
+    """Prepare the output of a command: forget earlier warnings, and start the timer of progress lines.
+
+    With `strict`, warnings are errors.
+    """
     global _last_line, _last_text, _is_strict
     _is_strict, _last_text = strict, ""
     _last_line = time.monotonic()
@@ -52,7 +55,7 @@ def is_strict() -> bool:
 
 @contextmanager
 def display(title: str, *, in_bytes: bool) -> Iterator[Listener]:
-    """Show a progress bar on stderr; if it is no terminal, a line every ten seconds unless it is the same."""
+    """Show a progress bar on stderr or, if stderr is not a terminal, a line every ten seconds if it has changed."""
     if not sys.stderr.isatty():
         with _lines(title) as line:
             yield line
@@ -126,11 +129,14 @@ class Results:
             sys.stdout.write(printable(text, keep="\n"))
 
     def sentence(self, text: str) -> None:
-        """Print a text as a paragraph, whose lines but the first are indented."""
+        """Print a text as a paragraph with a hanging indent."""
         self.text(_filled(text, "", "  ") + "\n")
 
     def rows(self, title: str, rows: Mapping[str, object]) -> None:
-        """Print a title, then a label and its value per row: lists with commas, sentences of a tuple line by line."""
+        """Print a title, then one row per label and value.
+
+        Lists are joined by commas, and tuples printed line by line.
+        """
         if self._only_json:
             return
         typer.secho(printable(title), bold=True)
@@ -144,14 +150,17 @@ class Results:
                 self.text(_filled(", ".join(whole), head, " " * width).replace("\0", " ") + "\n")
 
     def table(self, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-        """Print a table without cutting it: numbers to the right, words to the left; no rows print nothing."""
+        """Print a table in full width, with numbers aligned right and words left.
+
+        It prints nothing if there are no rows.
+        """
         if not rows or self._only_json:
             return
         cells = [[printable(str(cell)) for cell in row] for row in rows]
         sys.stdout.writelines(f"{line}\n" for line in text_tables.table_lines(columns, cells, bold=True))
 
     def document(self, document: object) -> None:
-        """Write results, a record or a mapping, as JSON where they were asked for."""
+        """Write results, a record or a mapping, as JSON if the command has an option for it."""
         if self._target is None:
             return
         import json  # helps need none, and no arrays
@@ -191,7 +200,7 @@ def parameter_rows(parameters: Mapping[str, Any]) -> dict[str, object]:
 
 
 def numbered(label: str, values: Sequence[object]) -> dict[str, object]:
-    """Return rows of `Results.rows` for several values of one label: the second is labelled `label 2`."""
+    """Return rows of `Results.rows` for several values with one label; the second is labelled `label 2`."""
     return {label if k == 1 else f"{label} {k}": value for k, value in enumerate(values, start=1)}
 
 
@@ -209,7 +218,7 @@ def export_command(path: Path) -> str:
 
 
 def note_built_in(*, is_default: bool) -> None:
-    """Name the built-in library in the JSON of the command; print on stderr if it was not asked for."""
+    """Name the built-in library in the JSON of the command, and on stderr if the user did not ask for it."""
     used["library"] = shipped.named(shipped.BUILT_IN)
     if is_default:
         count = len(shipped.about()["materials"])

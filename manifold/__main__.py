@@ -1,4 +1,4 @@
-"""The command `manifold`, also as `python -m manifold`."""
+"""Starts the command `manifold`; `python -m manifold` does the same."""
 
 import gc
 import signal
@@ -8,7 +8,7 @@ import sys
 def run(arguments: list[str] | None = None) -> None:
     """Load the command line and run it.
 
-    Loading takes a moment, and Ctrl-C in it is no error; SIGTERM counts as Ctrl-C.
+    Ctrl-C while the program loads ends it without a traceback; SIGTERM is treated as Ctrl-C.
     """
     # Imports make objects that stay: to look for garbage after every 700 of them takes a twentieth of a prediction.
     gc.set_threshold(100_000)

@@ -1,10 +1,10 @@
 """Direct local search: the pattern search of Hooke & Jeeves.
 
-One search with two interfaces:
+The search has two interfaces:
 
 - `hooke_jeeves` is a method for `scipy.optimize.minimize`;
-- `direct_local_search` minimises a `MoveObjective`, for which a move of one coordinate costs less than an evaluation
-  at a new point (for the likelihood of a latent variable model a rank-two update).
+- `direct_local_search` minimises a `MoveObjective`, for which moving one coordinate costs less than evaluating
+  a new point (a rank-two update for the likelihood of a latent variable model).
 
 Source: Hooke & Jeeves 1961.
 """
@@ -36,17 +36,22 @@ class MoveObjective(Protocol):
 
     @property
     def x(self) -> Array:
-        """The current point, shape (n,)."""
+        """Return the current point, shape (n,)."""
 
     @property
     def value(self) -> float:
-        """The function at the current point."""
+        """Return the value of the function at the current point."""
 
     def explore(self, steps: Array, heading: Array, limits: tuple[Array, Array], budget: int) -> int:
-        """Try every coordinate both ways and keep each improvement; return how many moves were tried, at most `budget`.
+        """Move each coordinate by plus and minus its step, keep improvements, and return the number of trials.
 
-        Steps (n,) are > 0 and end at the limits, lowest and highest coordinates (n,), or are not tried there; the
-        heading (n,) is +1 or -1, which way first, and what succeeds is written there.
+        Args:
+            steps: step of each coordinate, > 0, shape (n,). A step that would pass a limit ends at it; none is tried
+                at it.
+            heading: the sign, +1 or -1, that is tried first for each coordinate, shape (n,); it is overwritten by the
+                sign that succeeded.
+            limits: lowest and highest coordinates, each of shape (n,).
+            budget: largest number of trials.
         """
 
     def move_to(self, x: Array) -> None:
@@ -67,26 +72,27 @@ def direct_local_search(
     max_sweeps: int | None = None,
     callback: Callable[[Array, float], Any] | None = None,
 ) -> scipy.optimize.OptimizeResult:
-    """Minimise by exploratory moves along coordinates and pattern moves along their sum.
+    """Minimise a function by exploratory moves along the coordinates and pattern moves along their sum.
 
-    A sweep tries `x_j + step` and `x_j - step` for every j and keeps each improvement at once. After a sweep
-    that improved, the same displacement is added once more and explored from there, for as long as that improves.
-    After one that did not, the step halves, until it falls below the tolerance.
+    A sweep tries `x_j + step` and `x_j - step` for every j and keeps each improvement at once. After a sweep that
+    lowers the value, the search repeats the whole displacement and explores from there, as long as that lowers the
+    value. After any other sweep the step halves, until it falls below the tolerance.
 
     Args:
-        objective: its current point is the start, and afterwards, also after an exception, the best point found.
+        objective: the function; the search starts at its current point and leaves it at the best point, even after an
+            exception.
         initial_step: first step in units of x, a number or shape (n,).
-        tolerance: ends when every step is smaller.
-        bounds: limits of every coordinate, as scipy takes them.
-        maxfev: limit on evaluations, a move of one coordinate counting as one; 2000 n if None.
-        max_sweeps: limit on rounds (a sweep and the pattern moves after it).
+        tolerance: the search ends when every step is smaller than this.
+        bounds: limits of every coordinate, in the forms that scipy accepts.
+        maxfev: limit on evaluations; moving one coordinate counts as one; 2000 n if None.
+        max_sweeps: limit on rounds; a round is a sweep and the pattern moves after it.
         callback: called as `callback(x, value)` after every round; StopIteration ends the search.
 
     Returns:
-        x, fun, nfev, nit, status, success and message.
+        A result with `x`, `fun`, `nfev`, `nit`, `status`, `success` and `message`, as in scipy.
 
     Raises:
-        ShapeError: bounds or steps do not fit x.
+        ShapeError: the bounds or steps have another length than x.
         UsageError: a step or tolerance is not positive.
     Source: Hooke & Jeeves 1961.
     """
@@ -204,7 +210,7 @@ def _limits(
 
 
 class FunctionObjective:
-    """An ordinary function of x (n,) as a `MoveObjective`: every move is a full evaluation."""
+    """Presents an ordinary function of x (n,) as a `MoveObjective`; every move costs a full evaluation."""
 
     def __init__(self, fun: Callable[..., float], x0: Array, args: tuple[Any, ...] = ()) -> None:
         self._fun, self._args = fun, args
@@ -212,7 +218,7 @@ class FunctionObjective:
         self.value = self._evaluate(x0)
 
     def explore(self, steps: Array, heading: Array, limits: tuple[Array, Array], budget: int) -> int:
-        """Move each coordinate by its step where that lowers the value; return the evaluations, at most `budget`."""
+        """Move each coordinate by its step if that lowers the value; return the evaluations, at most `budget`."""
         tried = 0
         for index, (step, low, high) in enumerate(zip(steps, *limits, strict=True)):
             for sense in (heading[index], -heading[index]):
@@ -231,7 +237,7 @@ class FunctionObjective:
         return tried
 
     def move_to(self, x: Array) -> None:
-        """Set x (n,) and its value."""
+        """Move to x (n,) and evaluate the function there."""
         self.x, self.value = x.copy(), self._evaluate(x)
 
     def _evaluate(self, x: Array) -> float:
@@ -252,23 +258,23 @@ def hooke_jeeves(
     maxiter: int | None = None,
     **unused: Any,
 ) -> scipy.optimize.OptimizeResult:
-    """Minimise by Hooke & Jeeves, as `scipy.optimize.minimize(fun, x0, method=hooke_jeeves, options={...})`.
+    """Minimise a function by direct local search, as `method=hooke_jeeves` of `scipy.optimize.minimize`.
 
     Args:
-        fun: called as `fun(x, *args)`, returns a number; it need be neither smooth nor finite.
+        fun: function called as `fun(x, *args)` that returns a number; it need be neither smooth nor finite.
         x0: start, shape (n,), clipped to the bounds.
-        args: more arguments of fun.
+        args: further arguments of `fun`.
         bounds: `scipy.optimize.Bounds` or pairs `(low, high)`.
-        callback: `callback(intermediate_result)` by that very name, or `callback(x)`, after every round;
-            StopIteration ends the search.
-        tol: smallest step, 1e-6 if None.
+        callback: function called after every round, as `callback(intermediate_result)` if its parameter has that
+            name, otherwise as `callback(x)`; StopIteration ends the search.
+        tol: the search ends when every step is smaller than this; 1e-6 if None.
         initial_step: first step, a number or shape (n,).
         maxfev: limit on evaluations, 2000 n if None.
         maxiter: limit on rounds.
         unused: `jac`, `hess`, `hessp` and `constraints`, which scipy always passes.
 
     Raises:
-        UsageError: constraints were given; they would be ignored.
+        UsageError: constraints are given, which the method does not support.
     Source: Hooke & Jeeves 1961.
 
     >>> from scipy.optimize import minimize

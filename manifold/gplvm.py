@@ -1,6 +1,7 @@
-"""A Gaussian-process latent variable model: low-dimensional coordinates of materials from their Gram matrix.
+"""A Gaussian-process latent variable model, which finds low-dimensional coordinates of materials.
 
-The likelihood sees the data only through the N x N Gram matrix S, so a fit costs nothing in the number of outputs D.
+The likelihood depends on the data only through their N x N Gram matrix S, so the cost of a fit does not depend on the
+number of outputs D.
 The latents start at principal components. Direct local search (`manifold.dls`), as Hikichi & Iwasaki publish it
 (sections 3.3 and 3.4), or L-BFGS then minimises the negative log likelihood per output,
 `manifold.gp.likelihood.LatentObjective`.
@@ -52,9 +53,9 @@ _SMALLEST_STEP_PER_TOL = 100.0  # its smallest step, in length scales per unit o
 
 
 class Run:
-    """One fit as its optimiser sees it: the objective, limits, the best latents so far, and counts.
+    """The state of one fit: objective, limits, best latents so far, and counts of rounds and evaluations.
 
-    The callback gets the best value so far after every round; its StopIteration ends the whole fit.
+    The callback receives the best value so far after every round; if it raises StopIteration, the whole fit ends.
     """
 
     def __init__(
@@ -71,7 +72,7 @@ class Run:
         self.best_X, self.best = start, objective(start)[0]
 
     def report(self, X: Array, value: float) -> None:
-        """Count a round that ended at X (N, Q)."""
+        """Count a finished round, keep its latents X (N, Q) if they are the best so far, and call the callback."""
         self.n_iter += 1
         if value < self.best:
             self.best_X, self.best = X.reshape(self.best_X.shape).copy(), value
@@ -130,21 +131,21 @@ def log_likelihood(
     length_scale: float = DEFAULT_LENGTH_SCALE, kernel: str | type[Kernel] = DEFAULT_KERNEL,
     output_variance: float | None = 1.0,
 ) -> float:  # fmt: skip
-    """Return the log likelihood of latents, `log p(Y | X)`, with its constants.
+    """Return the log likelihood of latents, `log p(Y | X)`, including all constants.
 
     `-N D / 2 log(2 pi s^2) - D / 2 log|K| - tr(K^-1 H S H) / (2 s^2)`
 
     Args:
         X: latents, shape (N, Q).
         S: Gram matrix `Y Y^T` of the outputs, shape (N, N); centred here.
-        n_outputs: D.
+        n_outputs: D, the number of outputs of a sample.
         mu: noise filter of the kernel.
         length_scale: l > 0, in units of the latents.
-        kernel: its name, or a class of your own, see `kernel_named`.
+        kernel: name of a kernel, or a class of your own; see `kernel_named`.
         output_variance: s^2, in squared units of the outputs; None selects the value that maximises the likelihood.
 
     Raises:
-        ShapeError: S is no Gram matrix, or X does not fit it.
+        ShapeError: S is not a Gram matrix, or X has another number of rows.
     Source: Hikichi & Iwasaki, eq. 21, where s^2 = 1.
     """
     S = require_gram(S, n_outputs)
@@ -167,35 +168,36 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
     >>> bool(abs(np.corrcoef(model.embedding_[:, 0], t)[0, 1]) > 0.98)
     True
 
-    Starts from principal components and refines the latents. They are centred, and each axis has its
-    longer tail positive. The objective never ends above its starting value.
+    The fit starts from principal components and refines the latents. The latents are centred, and the sign of each
+    axis makes its longer tail positive. The objective never ends above its starting value.
 
     Args:
         n_components: Q, the number of latent dimensions.
         mu: noise filter of the kernel, at least 1e-10.
-        length_scale: l > 0. It only sets the unit of the latents, unless there is a prior.
-        kernel: its name, or a class of your own, see `kernel_named`.
-        optimizer: `dls`, the direct local search of Hooke & Jeeves from the start, without gradients, as Hikichi &
-            Iwasaki publish it (section 3.4); `l-bfgs`, descent along the gradient from the start.
+        length_scale: l > 0. Without a prior it only sets the unit of the latents.
+        kernel: name of a kernel, or a class of your own; see `kernel_named`.
+        optimizer: `dls` is the direct local search of Hooke & Jeeves without gradients, as Hikichi & Iwasaki publish
+            it (section 3.4); `l-bfgs` descends along the gradient.
         prior: weight of the Gaussian prior on the latents *per output*; 0 is none, 1 / D is eq. 19 of
             Hikichi & Iwasaki as they state it.
-        output_variance: s^2, in squared units of the outputs; None is what maximises the likelihood, 1.0 is eq. 20 of
-            Hikichi & Iwasaki.
-        start_scale: standard deviation of the start along every axis.
-        farthest_first: search in the order of the distance of the start from the origin, so that the order of the
+        output_variance: s^2, in squared units of the outputs; None selects the value that maximises the likelihood,
+            1.0 is eq. 20 of Hikichi & Iwasaki.
+        start_scale: standard deviation of the starting latents along every axis.
+        farthest_first: search first the latents that start farthest from the origin, so that the order of the
             samples does not matter; False searches in the order of the samples.
-        max_iter: limit on rounds of a search and on iterations of L-BFGS; 0 keeps the start.
-        tol: L-BFGS ends where an iteration gains less than a hundredth of this, times `|F|`, or no entry of the
-            gradient is larger than this; direct local search where its steps are a hundred of these, in length scales.
+        max_iter: limit on the rounds of direct local search or on the iterations of L-BFGS; 0 keeps the start.
+        tol: L-BFGS ends when an iteration lowers F by less than `tol / 100 * |F|`, or when no entry of the gradient
+            exceeds `tol`; direct local search ends when its steps fall below `100 * tol` length scales.
 
     Attributes:
         embedding_: latents X, shape (N, Q).
-        objective_, objective_start_: F at the end and at the start.
-        n_iter_, n_evaluations_: rounds, and evaluations of F (a move of one coordinate is one).
+        objective_, objective_start_: the objective F, the negative log likelihood per output, at the end and at the
+            start.
+        n_iter_, n_evaluations_: numbers of rounds and of evaluations of F; moving one coordinate counts as one.
         output_variance_: s^2, in squared units of the outputs.
         gp_: `GaussianProcess` of the latents.
         gram_: centred Gram matrix, shape (N, N).
-        n_outputs_: D.
+        n_outputs_: D, the number of outputs of a sample.
         Y_fit_: the data, shape (N, D), after `fit`; None after `fit_gram`, which stores nothing of size D.
 
     Source: Lawrence 2005; Hikichi & Iwasaki, eq. 16-21.
@@ -233,10 +235,10 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
     # -- fitting -------------------------------------------------------------------------------------------
 
     def fit(self, Y: Array, y: Any = None, *, callback: FitCallback | None = None) -> GPLVM:
-        """Fit to data Y (N, D), which is centred here; y is ignored.
+        """Fit the latents to data Y (N, D), which this method centres; y is ignored.
 
-        `callback(iteration, F)` is called after every round; StopIteration ends the refinement with the best
-        latents so far, any other exception leaves the latents of the estimator as they were.
+        `callback(iteration, F)` is called after every round. If it raises StopIteration, the fit ends with the best
+        latents so far; after any other exception the estimator keeps its earlier latents.
         """
         Y = validate_data(self, Y, dtype=np.float64, ensure_min_samples=2)
         Y_c = Y - Y.mean(axis=0)
@@ -249,17 +251,17 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
     def fit_gram(
         self, S: Array, n_outputs: int, *, X0: Array | None = None, callback: FitCallback | None = None
     ) -> GPLVM:
-        """Fit to a Gram matrix `S = Y Y^T` (N, N) of outputs; it is centred here (H S H).
+        """Fit the latents to a Gram matrix `S = Y Y^T` (N, N) of outputs, which this method centres (H S H).
 
         Args:
             S: shape (N, N), symmetric, N at least 2.
-            n_outputs: D.
-            X0: start, shape (N, Q), in place of principal components.
-            callback: as for `fit`.
+            n_outputs: D, the number of outputs of a sample.
+            X0: starting latents, shape (N, Q); None starts from principal components.
+            callback: as in `fit`.
 
         Raises:
             ShapeError: S is not square, symmetric and finite, or all samples are identical.
-            UsageError: a parameter of the model cannot be used.
+            UsageError: a parameter of the model is out of range.
         """
         S = require_gram(S, n_outputs)
         centred = centre_gram(S)
@@ -269,7 +271,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         return self
 
     def fit_transform(self, Y: Array, y: Any = None, **fit_params: Any) -> Array:
-        """Fit to Y (N, D) and return its latents (N, Q)."""
+        """Fit the latents to data Y (N, D) and return them, shape (N, Q)."""
         return self.fit(Y, y, **fit_params).embedding_.copy()
 
     def _fit_centred(self, S: Array, n_outputs: int, X0: Array | None, callback: FitCallback | None) -> None:
@@ -317,9 +319,10 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
     # -- using ---------------------------------------------------------------------------------------------
 
     def transform(self, Y: Array) -> Array:
-        """Return the latents of data Y (M, D) by their likelihood, with fixed training latents, shape (M, Q).
+        """Return the most likely latents of data Y (M, D), shape (M, Q); the training latents stay fixed.
 
-        A training sample gets its training latent: there the likelihood is unbounded. See `Encoder` for the others.
+        A training sample gets its training latent, because the likelihood is unbounded there. `Encoder` finds the
+        others.
         """
         Y_fit = self._require_data()
         mean = Y_fit.mean(axis=0)
@@ -336,7 +339,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         return latents
 
     def inverse_transform(self, X: Array) -> Array:
-        """Return the predicted data at latents X (M, Q), (M, D); a training latent gives its datum, bit for bit."""
+        """Return the predicted data (M, D) at latents X (M, Q); a training latent gives its training sample exactly."""
         return self.weights(X) @ self._require_data()
 
     def weights(self, X: Array) -> Array:
@@ -353,6 +356,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         check_is_fitted(self, "embedding_")
         if self.Y_fit_ is None:
             raise UsageError(
-                "this model was fitted to a Gram matrix and holds no data: use `weights`, and `Encoder` to embed"
+                "this model was fitted to a Gram matrix and holds no data; use `weights`, and `Encoder` to locate "
+                "samples"
             )
         return self.Y_fit_

@@ -1,9 +1,9 @@
 """Gaussian-process regression with one kernel for all outputs, as Hikichi & Iwasaki predict BRDFs.
 
-Because all outputs share one kernel, a prediction is a weighted sum of the training samples, `w = K^-1 k*` (eq. 13):
-`GaussianProcess` depends on latents alone, and sees outputs only as their Gram matrix. Manifolds of kind `gplvm`
-predict by it; those of kind `blend` take its variance. `manifold.gp.estimators.GPRegressor` adds outputs, in the manner
-of scikit-learn.
+Because all outputs share one kernel, a prediction is a weighted sum of the training samples with weights
+`w = K^-1 k*` (eq. 13). `GaussianProcess` therefore depends only on the latents, and uses outputs only through their
+Gram matrix. Manifolds of kind `gplvm` predict with it; manifolds of kind `blend` use its variance.
+`manifold.gp.estimators.GPRegressor` adds outputs and has the interface of scikit-learn.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ _COINCIDE = 1e-6  # latents closer than this many length scales are named as coi
 
 
 class JitterWarning(UserWarning):
-    """K was not positive definite: jitter was added to its diagonal, which makes predictions smoother than mu says."""
+    """Warns that K needed jitter to be positive definite, which makes predictions smoother than mu does."""
 
 
 def factorise(X: Array, kernel: Kernel) -> tuple[Array, Array, float]:
-    """Return K, its lower Cholesky factor and the jitter that was needed (usually 0)."""
+    """Return the covariance K (N, N) of latents X (N, Q), its lower Cholesky factor, and the jitter (usually 0)."""
     K = kernel.training(X)
     diagonal, variance = np.diag_indices_from(K), np.diag(K).copy()
     jitter = 0.0
@@ -89,21 +89,21 @@ _MOST_ALONE = 0.25  # share of such samples from which a fit is warned of
 
 
 class FlatModelWarning(UserWarning):
-    """A fitted process predicts the mean of the samples, or nearly, or is linear in the latents."""
+    """Warns that a fitted process predicts nearly the mean of the samples everywhere, or is linear in the latents."""
 
 
 class IsolatedLatentsWarning(UserWarning):
-    """Many fitted latents are far from all others: between them a process predicts the mean."""
+    """Warns that many fitted latents are far from all others, so that the process predicts the mean between them."""
 
 
 @dataclass(frozen=True, eq=False)
 class LengthScaleBound:
-    """A bound on how fast a prediction may leave its nearest training sample (Hikichi & Iwasaki, eq. 15).
+    """A bound on how fast predictions change away from the nearest training latent (Hikichi & Iwasaki, eq. 15).
 
     Attributes:
         nearest: index of the nearest training latent, shape (M,).
-        distance: distance to it, shape (M,).
-        displacement: `||y* - y_i||`, in units of the outputs, shape (M,).
+        distance: distance to that latent, shape (M,).
+        displacement: `||y* - y_i||` between prediction and nearest sample, in units of the outputs, shape (M,).
         bound: `s sqrt(2 N) * kappa(K) * ||Y|| * ||x* - x_i||`, shape (M,), with s the steepest slope of the
             kernel, `e^(-1/2) / l` of the squared exponential, and the Frobenius norm of the centred outputs Y.
     """
@@ -115,20 +115,23 @@ class LengthScaleBound:
 
     @property
     def slack(self) -> Array:
-        """`bound / displacement`, shape (M,): at least 1 where the condition holds, inf on a latent."""
+        """Return `bound / displacement`, shape (M,): at least 1 where the condition holds, inf at a training latent."""
         moved = self.displacement > 0
         return np.where(moved, self.bound / np.where(moved, self.displacement, 1.0), np.inf)
 
     @property
     def holds(self) -> Mask:
-        """Return whether the condition holds, shape (M,). It fails very close to a latent, where the delta jumps."""
+        """Return whether the condition holds, shape (M,).
+
+        It fails very close to a training latent, where the kernel's delta term jumps.
+        """
         return self.displacement <= self.bound
 
 
 class GaussianProcess:
     """The part of a Gaussian process that depends only on the training latents.
 
-    Nothing of the size of the outputs is held: N latents and one N x N Cholesky factor.
+    It holds N latents and one N x N Cholesky factor, and nothing of the size of the outputs.
 
     Args:
         X: training latents, shape (N, Q). Duplicates are allowed.
@@ -138,7 +141,7 @@ class GaussianProcess:
         X: the latents, float64, shape (N, Q).
         K: covariance of the training latents (jitter included), shape (N, N).
         L: its lower Cholesky factor, shape (N, N).
-        jitter: what had to be added to the diagonal, 0 unless K was not positive definite.
+        jitter: amount added to the diagonal; 0 if K was positive definite.
 
     Raises:
         NumericalError: K cannot be factorised even with jitter.
@@ -157,15 +160,16 @@ class GaussianProcess:
 
     @property
     def n_samples(self) -> int:
-        """Number of training points, N."""
+        """Return N, the number of training latents."""
         return int(self.X.shape[0])
 
     def weights(self, X_new: Array) -> Array:
         """Return the weights V with prediction = V @ Y, shape (M, N); each row sums to 1.
 
-        `v_i = w_i + (1 - sum(w)) / N` with `w = K^-1 k*`: the mean of the training outputs is subtracted
-        before and added after. At a training latent the row is exactly a unit vector; where several training
-        latents coincide there, that of the first.
+        `v_i = w_i + (1 - sum(w)) / N` with `w = K^-1 k*`, because the mean of the training outputs is subtracted
+        before
+            the prediction and added after it. At a training latent the row is exactly a unit vector; if several
+            training latents coincide there, the first one has the weight.
 
         Args:
             X_new: latents, shape (M, Q).
@@ -185,15 +189,18 @@ class GaussianProcess:
         return V
 
     def smooth_weights(self, X_new: Array) -> Array:
-        """Return `weights` without the delta, (M, N): a training latent X_new (M, Q) gets those of its surroundings."""
+        """Return the weights without the kernel's delta term, shape (M, N), at latents X_new (M, Q).
+
+        They are continuous at the training latents, where `weights` jumps to a unit vector.
+        """
         W = self._solve(self.kernel.smooth(X_new, self.X).T).T  # [M, N]
         return W + (1.0 - W.sum(axis=1, keepdims=True)) / self.n_samples
 
     def variance(self, X_new: Array) -> Array:
         """Return the posterior variance in units of the output variance: `c(x*, x*) - k*^T K^-1 k*`, shape (M,).
 
-        It is that of a new sample, with the delta of `c(x*, x*) = 1 + mu`: mu to 2 mu next to a training latent, but
-        exactly 0 on it, where the delta of k* makes the prediction the datum. At most the prior's.
+        The variance is that of a new sample and includes the delta term of `c(x*, x*) = 1 + mu`. It is between mu and
+        2 mu beside a training latent, exactly 0 at one, where the prediction equals the sample, and at most 1 + mu.
         """
         A = scipy.linalg.solve_triangular(self.L, self.kernel.smooth(X_new, self.X).T, lower=True)  # [N, M]
         variance = np.maximum(self.kernel.prior_variance - np.einsum("nm,nm->m", A, A), 0.0)
@@ -201,24 +208,24 @@ class GaussianProcess:
         return variance
 
     def variance_fraction(self, X_new: Array) -> Array:
-        """Return the posterior over prior variance, shape (M,): near 0 interpolates, near 1 extrapolates."""
+        """Return posterior over prior variance, shape (M,): values near 0 mean interpolation, near 1 extrapolation."""
         return self.variance(X_new) / self.kernel.prior_variance
 
     def output_variance(self, S: Array, n_outputs: int) -> float:
-        """Return the profiled output variance `s^2 = tr(K^-1 S_c) / (N D)`.
+        """Return the output variance that maximises the likelihood, `s^2 = tr(K^-1 S_c) / (N D)`.
 
         Args:
-            S: Gram matrix of the outputs, shape (N, N); centred here.
-            n_outputs: D.
+            S: Gram matrix of the outputs, shape (N, N); this method centres it.
+            n_outputs: D, the number of outputs of a sample.
         """
         S = centre_gram(S)
         return max(float(np.trace(self._solve(S))), 0.0) / (self.n_samples * n_outputs)
 
     def explained(self, S: Array) -> float:
-        """Return the share of the variance between training samples that the smooth mean explains at their latents.
+        """Return the share of the variance of the training samples that the smooth mean explains at their latents.
 
-        The residual of a sample is mu K^-1 Y there, so the share is `1 - |r K^-1 Y|^2 / |Y|^2`, `r` the whole
-        diagonal less 1; 1 interpolates, 0 is the mean everywhere.
+        The residuals at the training latents are `r K^-1 Y`, in which r is the diagonal of K less 1, so the share is
+        `1 - |r K^-1 Y|^2 / |Y|^2`. A share of 1 means interpolation, 0 the mean everywhere.
 
         Args:
             S: Gram matrix of the outputs, shape (N, N); centred here.
@@ -229,10 +236,11 @@ class GaussianProcess:
 
     @property
     def is_linear(self) -> bool:
-        """Return whether the mean is linear in the latents, up to less than the noise filter.
+        """Return whether the mean is linear in the latents, up to an error below the noise filter.
 
-        In Q dimensions only Q eigenvalues of the centred smooth kernel can come from a linear function. Any function of
-        Q + 1 places is linear, and over a whole length scale no kernel is.
+        A linear function of Q coordinates leaves only Q eigenvalues of the centred smooth kernel above the noise
+        filter. The result is False for Q + 1 or fewer distinct latents, through which a linear function always
+        passes, and for latents that span a length scale or more.
         """
         N, Q = self.X.shape
         span = float(np.ptp(self.X, axis=0).max())
@@ -245,12 +253,12 @@ class GaussianProcess:
         return bool(scipy.linalg.eigvalsh(smooth, subset_by_index=[beyond, beyond])[0] <= self.kernel.mu)
 
     def warn_of_fit(self, S: Array) -> None:
-        """Warn if the latents explain little of the variance of samples of Gram matrix S (N, N).
+        """Warn if the latents explain little of the variance of the samples, given by their Gram matrix S (N, N).
 
         Warns:
             FlatModelWarning: `explained` is below one half, or the mean `is_linear`.
-            IsolatedLatentsWarning: a quarter of the samples and more have a variance, given the others, of over
-                half of the prior's.
+            IsolatedLatentsWarning: for at least a quarter of the samples, the variance given the others is over half
+                of the prior variance.
         """
         share = self.explained(S)
         if share < LEAST_EXPLAINED:
@@ -281,12 +289,12 @@ class GaussianProcess:
             )
 
     def leave_one_out_weights(self) -> Array:
-        """Return the weights that predict every sample from the others, latents kept; zero diagonal, shape (N, N).
+        """Return the weights (N, N) that predict every sample from the others at fixed latents; the diagonal is 0.
 
         Row i equals the weights of a process fitted on the other N - 1 samples, evaluated at x_i: with
         `P = K^-1` its uncentred weights are `a_j = -P_ij / P_ii`, and centring on the mean of the *remaining*
-        samples adds `(1 - sum(a)) / (N - 1)`. Where another training latent coincides with x_i, that sample
-        is the prediction, as in `weights`.
+        samples adds `(1 - sum(a)) / (N - 1)`. If another training latent coincides with x_i, the prediction is its
+            sample, as in `weights`.
 
         There are at least two samples.
 
@@ -312,12 +320,12 @@ class GaussianProcess:
 
     @cached_property
     def condition(self) -> float:
-        """Condition number kappa(K) in the 2-norm."""
+        """Return the condition number kappa(K) in the 2-norm."""
         eigenvalues = np.linalg.eigvalsh(self.K)
         return float(eigenvalues[-1] / eigenvalues[0]) if eigenvalues[0] > 0 else float("inf")
 
     def length_scale_bound(self, X_new: Array, S: Array) -> LengthScaleBound:
-        """Return the condition on the length scale at X_new, with its slack.
+        """Return the bound on the length scale at latents X_new, and how far the predictions stay below it.
 
         Args:
             X_new: latents, shape (M, Q).

@@ -1,6 +1,8 @@
-"""RGL files: tensor files of a material database, read into validated `BsdfFile` records, and written back.
+"""Reads and writes RGL files, the tensor files of the RGL material database, as validated `BsdfFile` records.
 
-Source: Dupuy & Jakob 2018; what is checked is what Mitsuba's `measured` plugin relies on.
+The checks cover everything that Mitsuba's `measured` plugin relies on.
+
+Source: Dupuy & Jakob 2018.
 """
 
 from __future__ import annotations
@@ -43,16 +45,16 @@ def read_bsdf(source: Path | str | bytes | BinaryIO) -> BsdfFile:
     """Read and validate an RGL file, spectral or RGB, isotropic or anisotropic.
 
     Args:
-        source: path of a `.bsdf` tensor file, or of one that gzip compressed; its content as bytes; or a file opened
-            for reading bytes. The material's name is the file's without `_spec.bsdf`, `_rgb.bsdf` and `.gz`;
-            content without a file name is called `material`.
+        source: path of a `.bsdf` tensor file, which may be compressed by gzip; or the file's content as bytes; or a
+            binary file object. The material is named after the file, without `_spec.bsdf`, `_rgb.bsdf` and `.gz`;
+            content without a file name gets the name `material`.
 
     Returns:
         A record whose arrays are read-only views of the mapped file or of the content.
 
     Raises:
-        UsageError: `source` is none of these.
-        FileFormatError: the file is missing, of another format, damaged, or lacks what an RGL file must hold;
+        UsageError: `source` has another type.
+        FileFormatError: the file is missing, has another format, is damaged, or lacks a required field;
             the message names the file and the field.
     """
     path, content = _path_and_content(source)
@@ -62,8 +64,8 @@ def read_bsdf(source: Path | str | bytes | BinaryIO) -> BsdfFile:
         known = registry.identify(path)
         if known is not None:
             raise FileFormatError(
-                f"{printable(path.name, 255)}: {known.name}, expected an RGL file; `manifold complete` makes one of a "
-                "few readings, `manifold convert` of a table or of whole hemispheres of readings"
+                f"{printable(path.name, 255)}: {known.name}, expected an RGL file; make one by `manifold complete` "
+                "from a few readings, or by `manifold convert` from a table or whole hemispheres of readings"
             )
     tensors = read_tensors(path, content)
     _check(tensors, ErrorContext(path, "the file is damaged: fetch it again"))
@@ -103,13 +105,13 @@ def _path_and_content(source: Path | str | bytes | BinaryIO) -> tuple[Path, byte
 def rgl_wavelengths_nm() -> AnyArray:
     """Return the 195 band centres of the RGL spectral files in nm, shape (195,): 358.63 to 1001.89, evenly spaced.
 
-    Rounded to float32, as the files hold them, and returned as float64.
+    The values are float64, rounded to the float32 values that the files hold.
     """
     return np.linspace(358.63, 1001.89, 195).astype(np.float32).astype(np.float64)
 
 
 def material_name(path: Path) -> str:
-    """Name of the material in a file: `satin_gold` for `satin_gold_spec.bsdf`."""
+    """Return the material name that a file name implies: `satin_gold` for `satin_gold_spec.bsdf`."""
     name = path.name.removesuffix(".gz").removesuffix(".bsdf")
     for suffix in ("_spec", "_rgb"):
         name = name.removesuffix(suffix)
@@ -117,11 +119,11 @@ def material_name(path: Path) -> str:
 
 
 def write_bsdf(path: Path | str, file: BsdfFile) -> None:
-    """Write an RGL file, atomically; reading it back gives every field byte for byte.
+    """Write an RGL file atomically; `read_bsdf` restores every field byte for byte.
 
     Raises:
-        FileFormatError: the record is not what a file may hold; nothing is written.
-        UsageError: the file cannot be written, or `file` is no such record.
+        FileFormatError: a field of the record is not valid in an RGL file; nothing is written.
+        UsageError: the file cannot be written, or `file` is not a `BsdfFile`.
     """
     path = Path(path)
     if not isinstance(file, BsdfFile):
@@ -135,7 +137,7 @@ def write_bsdf(path: Path | str, file: BsdfFile) -> None:
 
 
 def require_sound(file: BsdfFile) -> None:
-    """Raise FileFormatError unless a file may hold the record, because compiled code relies on its shapes."""
+    """Raise FileFormatError unless the record is valid; compiled code relies on the shapes of its arrays."""
     context = ErrorContext(Path(file.name), "correct the record")
     _check(_tensors(file, context), context)
 
@@ -158,7 +160,9 @@ def _tensors(file: BsdfFile, context: ErrorContext) -> dict[str, AnyArray]:
         "valid": file.valid,
     }
     if reserved := _FIELDS.keys() & file.extra.keys():
-        raise context.error("is among the extra fields, expected another name", field=min(reserved))
+        raise context.error(
+            "is reserved, but is the name of an extra field; choose another name", field=min(reserved)
+        )
     return {**tensors, **file.extra}
 
 

@@ -22,21 +22,22 @@ def bsdf(
     model: Path | str, latent: Sequence[float] | str, *, library: Path | str | None = None, tolerance: float = 0.0,
     **colour: str,
 ) -> dict[str, str | float]:  # fmt: skip
-    """Return the dictionary of a prediction for `mi.load_dict`, checked here, where errors are one line.
+    """Return the dictionary with which `mi.load_dict` creates the BSDF of a prediction.
 
-    Errors of `mi.load_dict` repeat such a line after Mitsuba's own text and a traceback.
+    The arguments are checked here, so that an error is one line, without Mitsuba's own text and traceback.
 
     Args:
         model: path of the model, or `built-in`.
-        latent: coordinates, shape (Q,), or as text: "-0.3,1.2", or a material of the model.
-        library: path of the library, if it was moved.
-        tolerance: leave out materials that change mapped values by at most this share of their norm.
+        latent: coordinates, shape (Q,), or a text: coordinates such as "-0.3,1.2", or the name of a material of the
+            model.
+        library: path of the model's library, if the library was moved.
+        tolerance: leave out materials whose weights change the mapped values by at most this share of their norm.
         colour: one of `like`, `reflectance` and `srgb`, as in `manifold predict`.
 
     Raises:
         MissingModelError, ModelError: there is no such model, or it is damaged.
         LatentError, UnknownNameError: the latent has the wrong number of coordinates, or names no material.
-        UsageError: the latent is a step of a walk.
+        UsageError: the text is a step between two materials (`FROM:TO:T`), which is not a latent.
     """
     place = latent if isinstance(latent, str) else ",".join(repr(float(value)) for value in latent)
     place_of(load_model(Path(model), None if library is None else Path(library)), place)

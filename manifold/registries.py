@@ -1,7 +1,7 @@
-"""Formats, targets, mappings and all else that a user chooses by its name: one registry for each.
+"""Registries of everything that a user chooses by name, such as formats, export targets and mappings.
 
-A registry holds names and the places of what they stand for. A place is imported when its entry is first used, so that
-a help lists names without importing what they stand for. Other packages add entries by entry points, see `Registry`.
+A registry maps names to objects. It stores import paths and imports an object at its first use, so that help texts
+can list names quickly. Other packages add entries through entry points; see `Registry`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _ALL_NAMED = 16  # names up to which a message lists all
 
 
 class EntryPointWarning(UserWarning):
-    """An entry of another package cannot be used, and is left out."""
+    """Warns that an entry of another package cannot be used and is left out."""
 
 
 class _Place(NamedTuple):
@@ -37,17 +37,17 @@ class _Place(NamedTuple):
 
 
 class Registry(MutableMapping[str, T]):
-    """A dictionary by name, in the order in which help texts list it; a name that is not there is a `UsageError`.
+    """A dictionary from names to objects, in the order of the help texts; an unknown name raises UsageError.
 
-    Entries of other packages come last. One that cannot be loaded is left out with one warning, which names its
-    package, and stops no other entry.
+    Entries of other packages come last. An entry that cannot be loaded is left out, with a warning that names its
+    package.
 
     Args:
-        what: an entry in the singular, for messages.
-        entries: names and what they stand for.
-        places: names and the places of what they stand for, `module` or `module:attribute`.
-        group: the group of entry points by which other packages add entries; empty if they cannot.
-        attributes: what an entry of another package must have.
+        what: word for one entry in messages, such as `format`.
+        entries: objects by name.
+        places: import paths by name, `module` or `module:attribute`.
+        group: group of entry points through which other packages add entries; empty if they cannot.
+        attributes: names of attributes that an entry of another package must have.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class Registry(MutableMapping[str, T]):
 
     @property
     def packages(self) -> dict[str, str]:
-        """Return the names of entries of other packages with these packages, which are looked for once."""
+        """Return the package of every entry that another package adds, by the entry's name; the result is cached."""
         if self._packages is None:
             packages = {}
             for name, where, package in _entry_points(self._group):
@@ -73,7 +73,7 @@ class Registry(MutableMapping[str, T]):
         return self._packages
 
     def leave_out(self, name: str, error: BaseException) -> None:
-        """Remove an entry of another package, with a warning that says what it raised."""
+        """Remove an entry of another package, and warn with the error that its import raised."""
         del self._entries[name]
         self._warn(name, self.packages.pop(name), f"{type(error).__name__}: {error}")
 
@@ -205,9 +205,9 @@ FORMATS: Registry[Any] = Registry(
     group="brdf_manifold.formats",
     attributes=("sniff", "read"),
 )
-"""Formats that are read, in the order of their trial: those with magic numbers first, merely plausible ones last.
+"""Formats that can be read, in the order in which they are tried: first formats that a magic number identifies.
 
-An entry is a module, see `manifold.formats.registry`.
+An entry is a module; see `manifold.formats.registry`.
 """
 
 FIT_SUFFIX = ".fit.json"
@@ -267,7 +267,7 @@ OPTIMIZERS: Registry[Any] = Registry(
     places={"dls": "manifold.gplvm:minimise_by_dls", "l-bfgs": "manifold.gplvm:minimise_by_lbfgs"},
     group="brdf_manifold.methods",
 )
-"""Methods by which `manifold embed` finds latents: functions of a `gplvm.Run`, to which they report, and the start."""
+"""Optimisers of the latents for `manifold embed`, each a function of a `gplvm.Run` and the starting latents."""
 
 MAPPINGS: Registry[Any] = Registry(
     "mapping",
@@ -280,7 +280,7 @@ MAPPINGS: Registry[Any] = Registry(
     group="brdf_manifold.mappings",
     attributes=("name", "forward", "inverse", "slope"),
 )
-"""Mappings of BRDF values, each a `manifold.core.mapping.ValueMapping`, with their default parameters."""
+"""Mappings of BRDF values with their default parameters, each a `manifold.core.mapping.ValueMapping`."""
 
 NAMED_GRIDS: Registry[Any] = Registry(
     "grid", places={"default": "manifold.core.pairs:DEFAULT", "hikichi": "manifold.core.pairs:HIKICHI"}
@@ -307,7 +307,7 @@ FITTERS: Registry[type] = Registry(
         "swarm": "manifold.fit.adam_and_swarm:SwarmOptions",
     },
 )
-"""Methods of `manifold fit`, each the class of its hyperparameters."""
+"""Optimisers of `manifold fit`, each a class that holds its hyperparameters."""
 
 INSTRUMENTS: Registry[Any] = Registry(
     "instrument",
@@ -324,7 +324,7 @@ EXAMPLES: Registry[Any] = Registry(
         name: f"manifold.study.budget.example_scenes:{name.upper()}" for name in ("felt", "paint", "chrome")
     },
 )
-"""Scenes of `manifold budget`."""
+"""Example scenes of `manifold budget`."""
 
 
 def _in_words(suffixes: Mapping[str, str | tuple[str, ...]]) -> str:
@@ -337,4 +337,4 @@ def _in_words(suffixes: Mapping[str, str | tuple[str, ...]]) -> str:
 
 
 EXPORTS_IN_WORDS, CONVERTED_IN_WORDS = _in_words(EXPORT_SUFFIXES), _in_words(CONVERTED_SUFFIXES)
-"""Suffixes of files, with the targets and formats that they stand for."""
+"""Texts that list file suffixes with their export targets, and with their formats of `manifold convert`."""

@@ -25,9 +25,9 @@ _ALBEDO_SAMPLES = 4096
 class AnalyticBRDF(NotebookPicture, ABC):
     """Base class that validates and broadcasts directions, and returns 0 below the horizon.
 
-    Subclasses hold `bands` and implement `_eval` for flat arrays (n, 3) of directions above the horizon. They
-    override `_albedo` if it is known in closed form, `_sample` and `_pdf` if the cosine is a bad sampling density,
-    and `is_isotropic` if it may be false.
+    Subclasses hold `bands` and implement `_eval` for arrays (n, 3) of directions above the horizon. They override
+    `_albedo` if it is known in closed form, `_sample` and `_pdf` if the cosine is a bad sampling density, and
+    `is_isotropic` if it may be false.
     """
 
     bands: Bands
@@ -78,8 +78,9 @@ class AnalyticBRDF(NotebookPicture, ABC):
             u: uniform numbers in [0, 1), shape (..., 2).
 
         Returns:
-            wo (..., 3) and their density in 1/sr (...); a density of 0 marks an invalid direction, below the
-            horizon or for a `wi` below it, which counts as black.
+            wo (..., 3) and their density in 1/sr (...). A density of 0 marks an invalid direction: wo or wi is below
+            the
+                horizon.
         """
         wi, u, shape = flat_samples(wi, u)
         wo = np.zeros_like(wi)
@@ -98,7 +99,7 @@ class AnalyticBRDF(NotebookPicture, ABC):
     def albedo(self, wi: Array) -> Array:
         """Return the directional albedo, the integral of f cos(theta_o) over wo, shape (..., B); 0 below the horizon.
 
-        Numerical: within 1e-3 of the exact integral for the microfacet models and their mixtures, and
+        The numerical result is within 1e-3 of the exact integral for the microfacet models and their mixtures, and
         within 5e-3 for `Sheen` and `Layered`.
         """
         wi = require_directions(wi, "wi")
@@ -111,8 +112,8 @@ class Lambert(AnalyticBRDF):
     """A Lambertian BRDF: f = reflectance / pi at all directions above the horizon.
 
     Attributes:
-        reflectance: in [0, 1], shape (B,) or a single number.
-        bands: the spectral axis.
+        reflectance: reflectance in [0, 1], shape (B,) or a single number.
+        bands: the spectral bands.
 
     >>> white = Lambert(np.array(1.0), Bands((450.0, 550.0)))
     >>> normal = np.array([0.0, 0.0, 1.0])
@@ -135,14 +136,14 @@ class Lambert(AnalyticBRDF):
 
 @dataclass(frozen=True, eq=False)
 class Sheen(AnalyticBRDF):
-    """The sheen of cloth: fibres that stand off the surface scatter light back at grazing angles.
+    """The sheen of cloth, whose protruding fibres scatter light at grazing angles.
 
     D(h) = (2 + 1/r) sin(theta_h)^(1/r) / (2 pi), shadowing is 1 / (4 (cos_i + cos_o - cos_i cos_o)). If the albedo
     would exceed 1, the whole lobe is scaled down by one number per roughness, which keeps it reciprocal.
 
     Attributes:
         roughness: r in [0.05, 1]: a small value gives a narrow rim near grazing, 1 a broad one.
-        colour: in [0, 1], shape (B,) or a single number.
+        colour: colour of the sheen in [0, 1], shape (B,) or a single number.
 
     Sources: Estevez & Kulla 2017, "Production Friendly Microfacet Sheen BRDF" (the distribution); Ashikhmin & Premoze
     2007, "Distribution-based BRDFs" (the shadowing term, symmetric and cheap).
@@ -197,7 +198,7 @@ def _sheen_albedo(roughness: float) -> Array:
 
 
 def choose_lobe(probabilities: Array, u: Array) -> tuple[Array, Array]:
-    """Choose a lobe by u[:, 0], and return u with that column stretched back to [0, 1) for further use."""
+    """Choose a lobe by u[:, 0]; return its index, and u with this column rescaled to [0, 1) for further use."""
     edges = np.concatenate([[0.0], np.cumsum(probabilities)])
     lobe = np.minimum(np.searchsorted(edges, u[:, 0], side="right") - 1, probabilities.size - 1)
     # u = 1 would fall into a last lobe of probability 0
@@ -215,13 +216,13 @@ def even_points(n: int) -> Array:
 
 
 def cosine_hemisphere(u: Array) -> Array:
-    """Return directions (n, 3) of density cos(theta) / pi."""
+    """Return directions (n, 3) with density cos(theta) / pi, for variates u (n, 2)."""
     r, phi = np.sqrt(u[:, 1]), 2.0 * np.pi * u[:, 0]
     return np.stack([r * np.cos(phi), r * np.sin(phi), np.sqrt(1.0 - u[:, 1])], axis=-1)
 
 
 def uniform_hemisphere(u: Array) -> Array:
-    """Return directions (n, 3) of density 1 / (2 pi)."""
+    """Return directions (n, 3) with density 1 / (2 pi), for variates u (n, 2)."""
     z, phi = 1.0 - u[:, 1], 2.0 * np.pi * u[:, 0]
     r = np.sqrt(1.0 - z * z)
     return np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=-1)

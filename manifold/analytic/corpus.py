@@ -328,10 +328,10 @@ class Material:
     """A material of the corpus: its name and the analytic BRDF that is measured.
 
     Attributes:
-        name: `syn_` and the family first.
+        name: name that begins with `syn_` and the family.
         family: felt, paper, paint, card, leaf, standard, satin, gloss, metallic, chrome, flake, iridescent, metal,
-            or for anisotropic ones brushed, foil, weave.
-        recipe: makes the analytic BRDF for given bands.
+            or for anisotropic materials brushed, foil, weave.
+        recipe: function that makes the analytic BRDF for given bands.
         resolution: nodes per axis of the outgoing grid.
     """
 
@@ -380,9 +380,9 @@ def measure(material: Material, *, seed: int = 0, rgb: bool = False) -> BsdfFile
     """Return the RGL file that the virtual goniometer measures, with its noise and unmeasured cells.
 
     Args:
-        material: one of this corpus.
-        seed: of everything random; the same seed gives the same bytes.
-        rgb: return linear sRGB under D65, as the RGB files of the database hold, in place of 195 bands.
+        material: a material of this corpus.
+        seed: random seed; the same seed gives the same bytes.
+        rgb: return linear sRGB under D65, as in the RGB files of the database, instead of 195 bands.
     """
     rng = np.random.default_rng([seed, *material.name.encode()])
     version = _PIPELINE_VERSIONS[int(rng.integers(len(_PIPELINE_VERSIONS)))]
@@ -413,7 +413,7 @@ def write(
     """Write the corpus as `NAME_spec.bsdf` (or `NAME_rgb.bsdf`) files.
 
     Args:
-        folder: made if missing.
+        folder: folder to write into; it is created if missing.
         seed, rgb: as in `measure`.
         anisotropic: add the 11 anisotropic materials, 110 MB each.
         keep: keep existing files; a file gets its final name only when it is complete.
@@ -422,7 +422,7 @@ def write(
         The paths, in the order of the corpus.
 
     Raises:
-        FileAccessError: the folder cannot be made.
+        FileAccessError: the folder cannot be created.
     """
     materials = isotropic_materials() + (anisotropic_materials() if anisotropic else ())
     writers = {m.name: lambda path, m=m: write_bsdf(path, measure(m, seed=seed, rgb=rgb)) for m in materials}
@@ -436,7 +436,7 @@ def write_files(
     *,
     keep: bool = False,
 ) -> list[Path]:
-    """Write one file per name by its function; the file name is the name and the ending."""
+    """Write one file per name, with the function of that name; the file name is the name plus the ending."""
     folder = Path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -30,10 +30,10 @@ class Lobes:
     There is one microfacet lobe for every roughness, tail and polynomial; the polynomial varies fastest.
 
     Attributes:
-        roughnesses: alpha, each in (0, 1).
-        tails: exponents of the normal distribution, each above 1: 2 is GGX, less has longer tails.
-        degree: of the Bernstein polynomials.
-        soft_degree: degree of the polynomials of soft lobes; every pair of them makes a lobe; 0 for no soft lobes.
+        roughnesses: values of alpha, each in (0, 1).
+        tails: exponents of the normal distribution, each above 1; 2 is GGX, smaller exponents give longer tails.
+        degree: degree of the Bernstein polynomials.
+        soft_degree: degree of the polynomials of soft lobes, of which every pair makes a lobe; 0 for no soft lobes.
     """
 
     roughnesses: tuple[float, ...] = ROUGHNESSES
@@ -89,9 +89,7 @@ class Lobes:
 def microfacet_lobe(wi: Array, wo: Array, alpha: float, tail: float = 2.0) -> Array:
     """Return `D G / (4 cos(theta_i) cos(theta_o))` of a perfect reflector in 1/sr, shape (P,).
 
-    Values below the horizon are undefined.
-
-    The masking is that of GGX for every tail; see `normal_distribution`.
+    Values below the horizon are undefined. The masking is that of GGX for every tail; see `normal_distribution`.
     """
     return normal_distribution(cos_theta_h(wi, wo), alpha, tail) * _masking(wi, wo, alpha)
 
@@ -117,5 +115,8 @@ def cos_theta_d(wi: Array, wo: Array) -> Array:
 
 
 def bernstein(x: Array, degree: int) -> Array:
-    """Return the Bernstein polynomials of x (P,) in [0, 1], shape (degree + 1, P): never negative, with sum 1."""
+    """Return the Bernstein polynomials of x (P,) in [0, 1], shape (degree + 1, P).
+
+    They are non-negative and sum to 1.
+    """
     return np.array([comb(degree, k) * x**k * (1.0 - x) ** (degree - k) for k in range(degree + 1)])

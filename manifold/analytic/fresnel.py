@@ -1,8 +1,8 @@
 """Fresnel reflectance of smooth interfaces in air: dielectrics, conductors, and thin films on them.
 
-All functions take the cosine of the angle to the facet's normal, shape (n,), and one index per band,
-shape (B,) or (1,) for all, and return the reflectance, shape (n, B), in [0, 1], of unpolarised light
-unless they say otherwise.
+All functions take the cosines of the angle to the facet's normal, shape (n,), and indices of refraction, one per band
+(B,) or one for all (1,). They return the reflectance, shape (n, B), in [0, 1], of unpolarised light unless stated
+otherwise.
 """
 
 from __future__ import annotations
@@ -75,11 +75,11 @@ def fresnel_thin_film(
 ) -> Array:
     """Return the reflectance (n, B) of a transparent film on a base of index eta + i k (B,).
 
-    All internal reflections are summed. Cosines (n,) are in [0, 1], wavelengths (B,) in air, the film's index
-    (B,) is at least 1; a thickness of 0 is the bare base.
+    All internal reflections are summed. The cosines (n,) are in [0, 1], the wavelengths (B,) refer to air, and the
+    film's index (B,) is at least 1; a thickness of 0 gives the bare base.
 
-    Source: Airy's summation for one film (Born & Wolf, section 7.6), evaluated per band and coherently; Belcour & Barla
-    2017, whose spectral integration to RGB is not needed here.
+    Source: Airy's summation for one film (Born & Wolf, section 7.6), evaluated per band and coherently; Belcour &
+    Barla 2017, whose spectral integration to RGB is not needed here.
     """
     wavelengths, film, eta, k = _same_shape(wavelengths_nm, film_eta, eta, k)
     phase = 2.0 * np.pi * thickness_nm / wavelengths

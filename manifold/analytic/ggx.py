@@ -39,10 +39,9 @@ _N_CAP_ANISOTROPIC = 32  # enough where the kink at the horizon is smeared over 
 class GGX:
     """A GGX microsurface: the standard surface of roughness 1, its geometry stretched by a matrix.
 
-    The third row and column must be those of the identity: a map that moves heights into the plane, or tilts
-    the plane, gives a surface with overhangs or a mean normal of its own, for which this masking is no longer
-    normalised. Only M M^T matters, so a skewed map equals an anisotropic one along other axes; it is accepted so
-    that the deformation of a mesh can be passed unchanged.
+    The third row and column of the matrix must be those of the identity. Otherwise the surface would have overhangs
+    or another mean normal, and the masking would not be normalised. Only M M^T matters, so that a skewed map equals
+    an anisotropic map along other axes; it is accepted so that the deformation of a mesh can be passed unchanged.
 
     Attributes:
         transform: M, shape (3, 3), with M[2] = M[:, 2] = (0, 0, 1); `GGX.skewed` embeds a 2x2 matrix.
@@ -60,7 +59,9 @@ class GGX:
             raise ShapeError(f"transform has shape {m.shape}, expected a finite (3, 3) matrix")
         if not (np.array_equal(m[2], (0, 0, 1)) and np.array_equal(m[:, 2], (0, 0, 1))):
             found = f"third row {m[2].tolist()} and column {m[:, 2].tolist()}"
-            raise UsageError(f"transform: found {found}, expected (0, 0, 1); give a map of the plane")
+            raise UsageError(
+                f"transform: found {found}, expected (0, 0, 1); give a map that only deforms the plane"
+            )
         if not np.linalg.cond(m[:2, :2]) < 1e8:
             raise UsageError(f"transform {m[:2, :2].tolist()} is singular; give an invertible one")
         m.setflags(write=False)
@@ -68,14 +69,14 @@ class GGX:
 
     @classmethod
     def isotropic(cls, alpha: float) -> GGX:
-        """Return the GGX surface of roughness `alpha` (> 0; the width of the slope distribution)."""
+        """Return the isotropic GGX surface with roughness `alpha` > 0, the width of the slope distribution."""
         return cls.anisotropic(alpha, alpha)
 
     @classmethod
     def anisotropic(cls, alpha_x: float, alpha_y: float, rotation_rad: float = 0.0) -> GGX:
-        """Return a surface with two roughnesses.
+        """Return the GGX surface with roughness `alpha_x` along an axis and `alpha_y` across it.
 
-        `alpha_x` holds along an axis turned by `rotation_rad` from x, and `alpha_y` across it.
+        The axis is turned by `rotation_rad` from x.
         """
         for name, alpha in (("alpha_x", alpha_x), ("alpha_y", alpha_y)):
             if not (np.isfinite(alpha) and alpha > 0):
@@ -121,25 +122,25 @@ class GGX:
         return abs(float(np.linalg.det(self.transform)))
 
     def stretched_length(self, w: Array) -> Array:
-        """Return `|M^-1 w|`, shape (...); the cosine of the transformed direction is w_z over this."""
+        """Return `|M^-1 w|`, shape (...); w_z divided by it is the cosine of the transformed direction."""
         return np.sqrt(_squared_length(self._inverse, w))
 
     def D(self, wm: Array) -> Array:
         """Return the density of microfacet normals per solid angle and surface area in 1/sr, shape (...); 0 below.
 
-        Normalised so that the integral of D(wm) <wm, n> over the hemisphere is 1.
+        It is normalised so that the integral of D(wm) <wm, n> over the hemisphere is 1.
         """
         stretched = _squared_length(self.transform.T, wm)
         # <w_std, n>^4 / <w_m, n>^4 = 1 / |M^T w_m|^4, without the division by a grazing cosine.
         return np.where(wm[..., 2] > 0, self._determinant / (np.pi * stretched**2), 0.0)
 
     def masking(self, wi: Array, wo: Array) -> Array:
-        """Return g2 / (4 cos_i cos_o), height-correlated, shape (...), for directions above the horizon; symmetric."""
+        """Return the height-correlated, symmetric G2 / (4 cos_i cos_o) above the horizon, shape (...)."""
         # The cosines are cancelled, so grazing directions lose no digits.
         return 0.5 / (wi[..., 2] * self.stretched_length(wo) + wo[..., 2] * self.stretched_length(wi))
 
     def reflection_factor(self, wi: Array, wo: Array) -> Array:
-        """Return D G2 / (4 cos_i cos_o) in 1/sr, shape (...), for directions above the horizon; symmetric."""
+        """Return D G2 / (4 cos_i cos_o) in 1/sr, symmetric, for directions above the horizon, shape (...)."""
         return self.D(half_vector(wi, wo)) * self.masking(wi, wo)
 
     def sample_visible_normal(self, wi: Array, u: Array) -> Array:
@@ -162,10 +163,10 @@ class GGX:
         return d / (2.0 * (self.stretched_length(wi) + wi[..., 2]))
 
     def albedo_table(self, reflectance: Array) -> AlbedoTable:
-        """Return the directional albedo of single scattering with a Fresnel reflectance given at `facet_cosines()`.
+        """Return the directional albedo of single scattering for a Fresnel reflectance.
 
         Args:
-            reflectance: shape (n_cosines, B).
+            reflectance: Fresnel reflectance at `facet_cosines()`, shape (n_cosines, B).
         """
         return AlbedoTable(self, _facet_moments(*self.alphas) @ reflectance)
 
@@ -215,9 +216,7 @@ class AlbedoTable:
 class GGXMixture:
     """A mixture of isotropic GGX microsurfaces, as pairs (share of the area, roughness alpha).
 
-    It can replace a `GGX`.
-
-    The shares sum to 1.
+    It can replace a `GGX`. The shares sum to 1.
     """
 
     parts: Sequence[tuple[float, float]]

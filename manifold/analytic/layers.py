@@ -26,9 +26,9 @@ class Immersed(AnalyticBRDF):
     back inside is lost.
 
     Attributes:
-        brdf: what lies below.
+        brdf: the BRDF below the layer.
         eta: index of refraction of the layer, at least 1.
-        transmittance: of the layer along its normal, one way, in [0, 1], shape (B,) or a single number.
+        transmittance: transmittance of the layer along its normal, one way, in [0, 1], shape (B,) or a single number.
 
     Source: Weidlich & Wilkie 2007, "Arbitrarily Layered Micro-Facet Surfaces", with the radiance's factor 1 / eta^2.
     """
@@ -78,10 +78,10 @@ class Immersed(AnalyticBRDF):
 
 @dataclass(frozen=True, eq=False)
 class Retroreflection(AnalyticBRDF):
-    """A retro-reflective BRDF: an isotropic one, evaluated with wi turned by half a turn about the normal.
+    """A retro-reflective BRDF: an isotropic BRDF, evaluated with wi turned by half a turn about the normal.
 
-    A lobe around the mirror direction becomes one around wi. The result is not reciprocal for an anisotropic BRDF,
-    which is refused.
+    A lobe around the mirror direction becomes a lobe around wi. Anisotropic BRDFs raise an error, because the result
+    would not be reciprocal.
     Source: the back vector of Belcour et al. 2014, "Bidirectional reflectance distribution function measurements and
     analysis of retroreflective materials".
     """
@@ -90,7 +90,7 @@ class Retroreflection(AnalyticBRDF):
 
     def __post_init__(self) -> None:
         if not self.brdf.is_isotropic:
-            raise UsageError("found an anisotropic BRDF as retro-reflective, expected an isotropic one")
+            raise UsageError("found an anisotropic BRDF, expected an isotropic one for Retroreflection")
         object.__setattr__(self, "bands", self.brdf.bands)
 
     def _eval(self, wi: Array, wo: Array) -> Array:
@@ -143,7 +143,7 @@ class _Compound(AnalyticBRDF):
 class MixedBRDF(_Compound):
     """A weighted sum of BRDFs with the same bands, such as several kinds of flakes side by side.
 
-    Components are pairs (weight, BRDF), weights at least 0 with a sum above 0 and at most 1.
+    Components are pairs (weight, BRDF); the weights are at least 0, and their sum is above 0 and at most 1.
     """
 
     components: Sequence[tuple[float, BRDF]]
@@ -188,8 +188,8 @@ class Layered(_Compound):
     """One BRDF on top of another with the same bands, such as a coat on paint or sheen on felt.
 
     f = f_top + (1 - E(wi)) (1 - E(wo)) f_base, where E is the albedo of the top. Light that the top does not
-    reflect reaches the base undeflected, and leaves likewise. The result is reciprocal, and conserves energy if
-    both layers do. Light that would be reflected back and forth between them is lost (`Plastic` loses none).
+    reflect passes it undeflected, both ways. The result is reciprocal, and conserves energy if both layers do. Light
+    that would be reflected back and forth between the layers is lost (`Plastic` loses none).
     Source: the albedo scaling of Kulla & Conty 2017, made symmetric.
     """
 

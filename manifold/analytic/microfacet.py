@@ -115,8 +115,8 @@ class RoughConductor(_RoughReflector):
 
     Attributes:
         ggx: the microsurface.
-        eta, k: complex index eta + i k, shape (B,) each; `colour.metal_ior` has measured ones.
-        bands: the spectral axis.
+        eta, k: complex index eta + i k, shape (B,) each; `colour.metal_ior` returns measured indices.
+        bands: the spectral bands.
         multiple_scattering: whether to return the light that single scattering loses.
     """
 
@@ -137,13 +137,13 @@ class RoughConductor(_RoughReflector):
 
 @dataclass(frozen=True, eq=False)
 class ThinFilm(_RoughReflector):
-    """A rough base under a thin transparent film, which is iridescent by interference (exact per band).
+    """A rough base under a thin transparent film, whose interference colours are exact in every band.
 
     Attributes:
         film_eta: index of the film, at least 1, shape (B,) or a single number.
-        thickness_nm: at least 0.
+        thickness_nm: thickness of the film, at least 0.
         eta, k: complex index of the base, shape (B,) each; k = 0 is a dielectric.
-        bands: the spectral axis; RGB is evaluated at 611.4, 549.1 and 464.3 nm.
+        bands: the spectral bands; RGB is evaluated at 611.4, 549.1 and 464.3 nm.
         multiple_scattering: whether to return the light that single scattering loses.
 
     Source: see `fresnel_thin_film`.
@@ -175,7 +175,7 @@ class ThinFilm(_RoughReflector):
 
 @dataclass(frozen=True, eq=False)
 class RoughDielectric(_RoughReflector):
-    """The reflection of a rough dielectric boundary; `eta` is its index relative to air, (B,) or one number.
+    """The reflection of a rough dielectric boundary with index `eta` relative to air, (B,) or one number.
 
     Transmitted light is lost (see `Plastic`, `Layered`).
     """
@@ -204,9 +204,9 @@ class Plastic(AnalyticBRDF):
 
     Attributes:
         ggx: the microsurface of the boundary.
-        eta: its index of refraction relative to air, shape (B,) or a single number (1.5).
-        reflectance: of the diffuse base, in [0, 1], shape (B,) or a single number.
-        bands: the spectral axis.
+        eta: index of refraction of the boundary relative to air, shape (B,) or a single number (1.5).
+        reflectance: reflectance of the diffuse base, in [0, 1], shape (B,) or a single number.
+        bands: the spectral bands.
     Source: Kelemen & Szirmay-Kalos 2001, "A Microfacet Based Coupled Specular-Matte BRDF Model"; in the
     manner of Ashikhmin & Shirley 2000.
     """

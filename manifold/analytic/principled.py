@@ -1,11 +1,12 @@
-"""Mitsuba's `principled` for opaque surfaces, with derivatives by its parameters, in NumPy.
+"""Evaluates Mitsuba's `principled` for opaque surfaces in NumPy, with derivatives by its parameters.
 
-At a direction pair the model is affine in the base colour `c` and in its tint `c / luminance(c)`, and the shared
-parameters only change the three coefficients. `Principled` evaluates these for many parameter vectors at once.
+At a direction pair the model is affine in the base colour `c` and in its tint `c / luminance(c)`; the shared
+parameters change only the three coefficients. `Principled` evaluates the coefficients for many parameter vectors at
+once.
 
 Source: Burley 2012, "Physically-based shading at Disney", and 2015, "Extending the Disney BRDF to a BSDF with
-integrated subsurface scattering", as Mitsuba 3 documents them: the metal is Schlick's, the dielectric exact, the clear
-coat is not divided by the cosines.
+integrated subsurface scattering", as Mitsuba 3 documents them: the metal is Schlick's, the dielectric exact, the
+clear coat is not divided by the cosines.
 """
 
 from __future__ import annotations
@@ -23,10 +24,10 @@ DEFAULTS = {
     "metallic": 0.0, "roughness": 0.5, "specular": 0.5, "clearcoat": 0.0, "clearcoat_gloss": 0.0, "sheen": 0.0,
     "spec_tint": 0.0, "sheen_tint": 0.0, "flatness": 0.0, "anisotropic": 0.0,
 }  # fmt: skip
-"""Mitsuba's values of the shared parameters."""
+"""Mitsuba's default values of the shared parameters."""
 
 LUMINANCE = np.array([0.212671, 0.715160, 0.072169])
-"""Luminance of linear sRGB with Mitsuba's weights."""
+"""Mitsuba's weights of linear sRGB in the luminance."""
 
 _LEAST_ALPHA = 1e-3  # Mitsuba's
 _COAT_ALPHA = 0.25  # of the masking
@@ -35,7 +36,7 @@ _COAT_ENDS = 0.1, 0.001  # alpha at gloss 0 and 1
 
 
 class PrincipledFactors(NamedTuple):
-    """The factors that depend on a parameter nonlinearly: `f0` has shape (..., 1), the others (..., M).
+    """The factors of the model that depend nonlinearly on parameters; `f0` has shape (..., 1), the others (..., M).
 
     Attributes:
         specular: `D G / (4 cos(theta_i))` of GGX.
@@ -81,13 +82,14 @@ class Diffuse:
 class Principled:
     """Mitsuba's `principled` at M direction pairs, as coefficients of the base colour and its tint.
 
-    Values are passed by name as arrays (P, 1), or numbers. Coefficients have shape (3, P, M): f cos(theta_o) in 1/sr
-    is the first, plus the second times the base colour, plus the third times its tint.
+    Parameter values are passed by name as arrays (P, 1), or numbers. Coefficients have shape (3, P, M): f
+    cos(theta_o) in 1/sr is the first, plus the second times the base colour, plus the third times its tint.
 
     Attributes:
         type: Mitsuba's name of the plugin.
-        colour: the parameter with a value per band.
-        defaults: Mitsuba's values of the shared parameters; a family with others is evaluated by Mitsuba.
+        colour: name of the parameter with a value per band.
+        defaults: Mitsuba's default values of the shared parameters; families with other parameters are evaluated by
+            Mitsuba.
     """
 
     type: ClassVar[str] = "principled"
@@ -124,7 +126,7 @@ class Principled:
         return type(self)(wi[rows], wo[rows])
 
     def coefficients(self, values: Mapping[str, Array | float]) -> Array:
-        """Return the coefficients, (3, P, M), by all shared parameters."""
+        """Return the coefficients (3, P, M) for values of all shared parameters."""
         return self._assemble(values, self._lobes(values)[0])
 
     def slopes(self, values: Mapping[str, float], names: Collection[str]) -> tuple[Array, dict[str, Array]]:

@@ -1,6 +1,6 @@
-"""Virtual instruments: simulated readings of a BRDF, with noise, in files of an MA-T12 or a Mini-Diff V2.
+"""Simulates readings of a BRDF, with noise, and writes them as files of an MA-T12 or a Mini-Diff V2.
 
-The written files have the layout and quirks of real ones: see `manifold.formats.ma_t12` and
+The files have the layout and quirks of real files: see `manifold.formats.ma_t12` and
 `manifold.formats.astm`.
 """
 
@@ -31,9 +31,9 @@ _FLAKY = ("metallic", "flake", "iridescent")
 
 
 def ma_t12_readings(brdf: BRDF, name: str, rng: np.random.Generator | None = None) -> Readings:
-    """Return readings at the 12 geometries of a BRDF that has `MA_T12_BANDS` or is RGB.
+    """Return readings of a BRDF, in `MA_T12_BANDS` or RGB, at the 12 geometries of an MA-T12.
 
-    `rng` adds noise: 0.3 % of the value, and 3e-4 of reflectance factor.
+    `rng` adds noise with a standard deviation of 0.3 % of the value, and of 3e-4 in reflectance factor.
     """
     wi, wo = geometry_ma_t12()
     R = np.pi * np.asarray(brdf.eval(wi, wo), dtype=float)
@@ -49,8 +49,8 @@ def ma_t12_readings(brdf: BRDF, name: str, rng: np.random.Generator | None = Non
 def mini_diff_table(brdf: BRDF, rng: np.random.Generator | None) -> tuple[Array, Array]:
     """Return the whole table of a Mini-Diff V2, with padding: angles in radians (P, 4) and f in 1/sr (P, B).
 
-    The angles are theta_i, phi_i, theta_s, phi_s. `rng` adds noise: 1 % of the value, and 2e-4 in 1/sr, so
-    that dark values may be negative.
+    The angles are theta_i, phi_i, theta_s, phi_s. `rng` adds noise with a standard deviation of 1 % of the value, and
+    of 2e-4 in 1/sr, so that dark values may be negative.
     """
     phi, theta = np.meshgrid(np.arange(0.0, 360.0, 10.0), np.arange(1.0, 91.0), indexing="ij")
     phi_s = np.deg2rad(np.concatenate([[0.0], phi.reshape(-1)]))
@@ -92,7 +92,7 @@ def write_mini_diff(path: Path, brdf: BRDF, name: str, rng: np.random.Generator 
 def write_ma_t12(
     path: Path, brdf: BRDF, name: str, rng: np.random.Generator, *, flakes: bool = False
 ) -> None:
-    """Write a workbook like the MA-T12's program, texture included."""
+    """Write a workbook like the MA-T12's program, including texture."""
     entries = [
         {
             "Name": name,
@@ -120,7 +120,7 @@ def _flake_image(rng: np.random.Generator, flakes: bool) -> bytes:
 
 
 MA_T12, MINI_DIFF = (MA_T12_BANDS, ".xlsx"), (MINI_DIFF_BANDS, ".astm")
-"""Bands, and the suffix of files, of the instruments in `INSTRUMENTS`."""
+"""Bands and file suffixes of the instruments in `INSTRUMENTS`."""
 
 
 def write(
@@ -132,7 +132,7 @@ def write(
 ) -> list[Path]:
     """Write simulated readings of every isotropic material: `ma-t12` workbooks or `mini-diff` ASTM tables.
 
-    Each material has one file in the folder, which is made if missing.
+    Each material has one file in the folder, which is created if missing.
     """
     bands, suffix = INSTRUMENTS[instrument]
 

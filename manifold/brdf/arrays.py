@@ -1,4 +1,4 @@
-"""A BRDF as a labelled array, for xarray."""
+"""Converts a BRDF to a labelled array of xarray."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ def to_xarray(
     """Return the values of a BRDF on a grid of angles as a labelled array.
 
     Args:
-        brdf: any BRDF; an anisotropic one is lit from azimuth 0.
+        brdf: any BRDF; an anisotropic BRDF is lit from azimuth 0.
         theta_i_deg, theta_o_deg: elevations from the normal in degrees, 0 to 90, numbers or shape (I,) and (O,).
-        phi_deg: azimuth of the outgoing direction from the incident one in degrees, a number or shape (P,); 180 is the
-            side of the mirror direction.
+        phi_deg: azimuth of the outgoing direction from the incident one in degrees, a number or shape (P,); 180 is
+            the side of the mirror direction.
 
     Returns:
-        f in 1/sr, dimensions `theta_i`, `theta_o`, `phi` and `band` with coordinates: degrees, and nm or R, G, B.
+        f in 1/sr, with the dimensions `theta_i`, `theta_o`, `phi` (in degrees) and `band` (in nm, or R, G, B).
 
     Raises:
         MissingPackageError: xarray is not installed.

@@ -1,6 +1,6 @@
-"""Checks of an RGL file: its values against each other, against other fields, and against physical limits.
+"""Checks the values of an RGL file against each other, against other fields, and against physical limits.
 
-Six comparisons find values that were scaled, exchanged or damaged; docs/explanation/rgl-files.md describes them.
+Six comparisons find values that were scaled, swapped or damaged; docs/explanation/rgl-files.md describes them.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ class Cell(NamedTuple):
     """A stored value that disagrees with its neighbours, or with the luminance of its cell.
 
     Attributes:
-        at: indices of azimuth, elevation, band, row and column.
+        at: indices of the azimuth, elevation, band, row and column.
         value: the stored value.
         expected: the value that the luminance implies, or the median of the neighbours.
-        low, high: the range of its neighbours; NaN where there are fewer than three.
+        low, high: smallest and largest neighbour; NaN if there are fewer than three neighbours.
     """
 
     at: tuple[int, ...]
@@ -63,14 +63,15 @@ class Cell(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Consistency:
-    """Measurements on the values of a file with P azimuths, T elevations and B bands, and the faults found.
+    """Statistics of the values of a file with P azimuths, T elevations and B bands, and the faults found.
 
     Attributes:
-        albedo: directional, (P, T, B).
-        reciprocity: median of f(wi, wo) / f(wo, wi) over the pairs of an incidence, (P, T); NaN beyond 75 degrees.
-        negative_share: of the values, (P, T, B).
+        albedo: directional albedo, shape (P, T, B).
+        reciprocity: median of f(wi, wo) / f(wo, wi) over the directions wo of an incidence, shape (P, T); NaN beyond
+            75 degrees.
+        negative_share: share of negative values, shape (P, T, B).
         cells: values that disagree with their neighbours, or with the luminance of their cell.
-        findings: sentences; none where the file is consistent.
+        findings: sentences that describe the faults; empty if the file is consistent.
     """
 
     albedo: Array
@@ -81,9 +82,10 @@ class Consistency:
 
 
 def check_consistency(file: BsdfFile, *, has_exact_luminance: bool = True) -> Consistency:
-    """Measure a file, and compare its values with each other, with its other fields, and with physical limits.
+    """Compare the values of a file with each other, with its other fields, and with physical limits.
 
-    Compact libraries approximate values and luminance: their materials have no exact luminance, which is then left out.
+    With `has_exact_luminance` False, the luminance is not compared; use this for materials of compact libraries,
+    whose values and luminance are approximate.
     """
     filled: Mask = np.any(file.spectra != 0, axis=2)  # [P, T, H, W]
     negative_share = np.sum(file.spectra < 0, axis=(3, 4)) / np.maximum(filled.sum(axis=(2, 3)), 1)[..., None]
@@ -344,7 +346,7 @@ def _of_colours(file: BsdfFile, albedo: Array) -> list[str]:
         f"{label} {value:.3g}" for label, value in zip(file.bands.labels, albedo[worst], strict=True)
     )
     where = _in_words(file, np.argwhere(is_off))
-    return [f"colours that no reflectance has, such as an albedo of {colour}, {where}"]
+    return [f"colours that no reflectance can have, such as an albedo of {colour}, {where}"]
 
 
 @lru_cache(maxsize=1)
@@ -380,7 +382,7 @@ def _of_bands(file: BsdfFile, albedo: Array, negative_share: Array) -> list[str]
             named.append(
                 f"{here:.3g} at {labels[b]} between {before:.3g} and {after:.3g}, {_in_words(file, where)}"
             )
-        sentences.append(f"albedo unlike that of both neighbouring bands: {first_few(named, 3, '; ')}")
+        sentences.append(f"albedo differs from both neighbouring bands: {first_few(named, 3, '; ')}")
     return sentences
 
 

@@ -1,4 +1,4 @@
-"""A virtual goniometer: any BRDF to the tensors of an RGL file.
+"""A virtual goniometer, which measures any BRDF and returns an RGL file.
 
 The normal distribution comes from the retro-reflected values by power iteration; projected area and visible
 normals follow from it; then the BRDF is evaluated where the warp puts the nodes of a regular grid.
@@ -34,14 +34,14 @@ _TURNS_DEG = (20.0, 40.0, 60.0, 80.0)  # angles of incident and outgoing directi
 _LEAST_SHARE = 0.95  # share of what a normal reflects to the side; GGX metals send more than that back
 _STEEPEST = 2.0**0.5  # factor by which retro-reflection may fall from one node to the next
 SOFT_BEND = 0.3
-"""A `bend` with which files of neural fits get no valleys over 10 % of their own; docs/explanation/rgl-files.md."""
+"""Value of `bend` that adds no dips above 10 % to files of neural fits; see docs/explanation/rgl-files.md."""
 _WARP_EXPONENT = 0.5  # exponent of the visible normals in the warp; docs/explanation/rgl-files.md
 _BELOW_HORIZON = 0.1  # weight of normals that mirror light below the horizon, where cells hold zeros
 _FADE = 0.5  # sine of the angle below the horizon at which their weight would be 0
 
 
 def default_theta_i(n: int) -> Array:
-    """Return angles of incidence in radians, shape (n,), placed where they lower the error most.
+    """Return n angles of incidence in radians, shape (n,), spaced for a small interpolation error.
 
     Source: docs/explanation/rgl-files.md.
 
@@ -156,13 +156,16 @@ def _anisotropic_ndf(retro: Array) -> tuple[Array, Array]:
 
 
 def node_normals(n: int) -> Array:
-    """Return the normals (n, n, 3) of the nodes of a square grid: rows are azimuths, columns elevations."""
+    """Return the normals (n, n, 3) at the nodes of a square grid whose rows are azimuths and columns elevations."""
     u = np.linspace(0.0, 1.0, n)
     return from_spherical(u_to_theta(u)[None, :], u_to_phi(u)[:, None])
 
 
 def visible_normals(ndf: Array, cos_im: Array) -> Array:
-    """Return the density of visible normals over the unit square (C, C), not normalised, by their cosines with `wi`."""
+    """Return the unnormalised density of visible normals over the unit square, shape (C, C).
+
+    `ndf` is the normal distribution at the nodes, and `cos_im` the cosines of their normals with `wi`.
+    """
     u = np.linspace(0.0, 1.0, ndf.shape[1])
     if len(ndf) != ndf.shape[1]:  # rows are alike in isotropic files
         ndf = ndf[:1]
@@ -206,19 +209,17 @@ def measure(
         name, description: identification of the material.
         resolution: nodes per axis of the outgoing grid, H = W.
         theta_i_rad: angles of incidence in radians, increasing, shape (T,); default `default_theta_i(n_theta_i)`.
-        n_theta_i: angles of incidence T where none are given.
-        n_phi_i: incident azimuths P, over half a turn; default 1 for an isotropic BRDF and 17 otherwise.
-        compensate: adjust the node values to minimise the error of linear interpolation between the nodes; without
-            it the file is exact at the nodes and has about twice the error elsewhere
-            (docs/explanation/rgl-files.md).
-        warp_exponent: power of the density of visible normals by which the outgoing grid is spread; 1 is the
-            instrument's own grid, which has few nodes beside a sharp highlight and wastes half of its nodes below
-            the horizon.
-        steepest: largest factor by which the normal distribution may fall from one of its nodes to the next.
-        bend: limit on the curvature of the logarithm of the normal distribution beside a peak: the coefficient of a
-            parabola over nodes of the outgoing grid. `SOFT_BEND` suits data whose peaks differ in width between
+        n_theta_i: number of angles of incidence T, if `theta_i_rad` is None.
+        n_phi_i: number of incident azimuths P, over half a turn; default 1 for an isotropic BRDF and 17 otherwise.
+        compensate: adjust the node values to minimise the error of linear interpolation between the nodes; if False,
+            the file is exact at the nodes and has about twice the error elsewhere (docs/explanation/rgl-files.md).
+        warp_exponent: power of the density of visible normals that spaces the outgoing grid; 1 is the grid of the
+            real instrument, which has few nodes beside a sharp highlight and half of its nodes below the horizon.
+        steepest: largest ratio of the normal distribution at neighbouring nodes.
+        bend: limit on the curvature of the logarithm of the normal distribution beside a peak, as the coefficient of
+            a parabola over the nodes of the outgoing grid. `SOFT_BEND` suits data whose peaks differ in width between
             incidences. None sets no limit, which gives smaller errors for blends of measured materials.
-        version: pipeline version; it decides what a set bit of `valid` means.
+        version: pipeline version, which determines the meaning of a set bit of `valid`.
 
     Returns:
         A file whose evaluation interpolates the BRDF; cells whose outgoing direction lies below the horizon
@@ -247,7 +248,7 @@ def measure(
         retro = _retro_reflection(brdf, theta[None, :], phi[:, None], steepest)
     if not np.any(retro > 0):
         raise UsageError(
-            f"{name}: nothing is reflected back at any elevation, so it has no normal distribution"
+            f"{name}: no light is reflected back at any elevation, so no normal distribution can be computed"
         )
     if bend is not None:
         retro = _without_knees(retro, bend, warp_exponent, resolution)
@@ -293,17 +294,17 @@ def measure(
 
 
 def remeasure(brdf: BRDF, file: BsdfFile) -> BsdfFile:
-    """Return the file with the values of another BRDF at its nodes; the bands and warps stay the same."""
+    """Return the file with its values replaced by the values of a BRDF at the same nodes; the warps stay the same."""
     cells = [one for _, _, one in cells_of(file)]
     spectra, _ = _at_nodes(brdf, file.ndf, file.sigma, cells, file.phi_i_rad, file.theta_i_rad)
     return with_luminance(replace(file, spectra=np.moveaxis(spectra, -1, 2)), cells)
 
 
 def with_luminance(file: BsdfFile, cells: list[Cells] | None = None) -> BsdfFile:
-    """Return the file with the field `luminance`, the density by which renderers sample it.
+    """Return the file with the field `luminance`, the density by which renderers sample the file.
 
-    Where the warp is that of the visible normals, as in measured files, it is the luminance of `spectra`. The cells of
-    its slices are found unless they are given.
+    If the outgoing grid is warped by the visible normals, as in measured files, the density is the luminance of
+    `spectra`. `cells` holds the cells of the slices; None computes them.
     """
     density = np.maximum(luminance_of(np.moveaxis(file.spectra, 2, -1), file.bands), 0.0)  # [P, T, H, W]
     if not file.jacobian:

@@ -11,15 +11,15 @@ from manifold.core.errors import ShapeError, UsageError
 from manifold.core.records import Array, Bands
 
 LEAST_RESOLUTION = 4
-"""Nodes per axis of an albedo's quadrature; fewer miss the lobe."""
+"""Smallest number of nodes per axis for the quadrature of an albedo; fewer nodes miss the lobe."""
 
 
 class EvaluableBRDF(Protocol):
-    """The interface of BRDFs that can be evaluated, but not sampled, which fits, balls and slices need."""
+    """The interface of a BRDF that can be evaluated; fits, rendered spheres and plots of slices need no more."""
 
     @property
     def bands(self) -> Bands:
-        """The spectral bands, or the channels of linear sRGB."""
+        """Return the spectral bands, or the channels of linear sRGB."""
 
     @property
     def is_isotropic(self) -> bool:
@@ -28,13 +28,13 @@ class EvaluableBRDF(Protocol):
     def eval(self, wi: Array, wo: Array) -> Array:
         """Return f in 1/sr, shape (..., B); 0 for a direction that is not above the horizon.
 
-        Measured values may be negative: files of the RGL database in RGB hold colours outside sRGB.
+        Measured values may be negative, because RGB files of the RGL database contain colours outside sRGB.
         """
 
 
 @runtime_checkable
 class BRDF(EvaluableBRDF, Protocol):
-    """The interface of a BRDF: evaluation and sampling of all B bands at directions (..., 3); z is the normal."""
+    """The interface of a BRDF that can be evaluated and sampled in B bands; directions are (..., 3), z is up."""
 
     def eval_cos(self, wi: Array, wo: Array) -> Array:
         """Return f * cos(theta_o) in 1/sr, shape (..., B), like Mitsuba's `eval`."""
@@ -53,12 +53,12 @@ class BRDF(EvaluableBRDF, Protocol):
 
 
 def all_isotropic(brdfs: Iterable[BRDF]) -> bool:
-    """Return whether every BRDF is isotropic, so that direction pairs of one azimuth determine all of them."""
+    """Return whether every BRDF is isotropic, so that direction pairs at one incident azimuth are enough."""
     return all(brdf.is_isotropic for brdf in brdfs)
 
 
 def require_brdf(brdf: object, where: str) -> None:
-    """Raise UsageError unless an object has the methods of `BRDF`; a file or a path has not.
+    """Raise UsageError unless an object has the methods of `BRDF`; a `BsdfFile` or a path has none of them.
 
     Args:
         brdf: the object that a user gave.
@@ -73,10 +73,10 @@ def require_brdf(brdf: object, where: str) -> None:
 
 
 def require_values(f: Array, count: int, bands: Bands, where: str) -> Array:
-    """Return f, (K, B), as a user's `eval` returned it at K = `count` direction pairs.
+    """Return the values f (K, B) of a user's `eval` at K = `count` direction pairs, after checking them.
 
     Raises:
-        ShapeError: it has another shape, or values that are not finite.
+        ShapeError: f has another shape, or values that are not finite.
     """
     f, expected = np.asarray(f), (count, bands.count)
     if f.shape != expected:
@@ -89,6 +89,6 @@ def require_values(f: Array, count: int, bands: Bands, where: str) -> Array:
 
 
 def require_resolution(resolution: int) -> None:
-    """Raise UsageError unless a number of quadrature nodes per axis is an integer of at least `LEAST_RESOLUTION`."""
+    """Raise UsageError unless a number of nodes per axis is an integer of at least `LEAST_RESOLUTION`."""
     if not isinstance(resolution, int | np.integer) or resolution < LEAST_RESOLUTION:
         raise UsageError(f"resolution is {resolution}, expected an integer of at least {LEAST_RESOLUTION}")

@@ -24,7 +24,7 @@ _FEW = 512  # pairs of directions of a block: fewer take less time than starting
 
 
 def values_at(brdf: EvaluableBRDF, pairs: Pairs) -> Array:
-    """Return f in 1/sr at K direction pairs, (K, B); a `MeasuredBRDF` reuses what `pairs` has computed."""
+    """Return f in 1/sr at K direction pairs, shape (K, B); a `MeasuredBRDF` uses coordinates cached in `pairs`."""
     return brdf.eval_at(pairs) if isinstance(brdf, MeasuredBRDF) else brdf.eval(pairs.wi, pairs.wo)
 
 
@@ -32,13 +32,13 @@ class MeasuredBRDF(NotebookPicture):
     """The BRDF of an RGL file, which evaluates all bands of a direction pair together.
 
     Attributes:
-        name: of the material.
-        bands: the spectral axis.
-        is_isotropic: whether the file depends on the difference of the azimuths only.
+        name: name of the material.
+        bands: the spectral bands.
+        is_isotropic: whether the values depend only on the difference of the azimuths.
         symmetry: the arguments of `Pairs.located`: whether the material is isotropic, how often azimuths repeat,
             and the azimuth by which the specimen was turned.
         spectra: the stored values, single precision, shape (P * T, H, W, B).
-        tables: the tables that compiled loops read.
+        tables: arrays in the form that the compiled loops read.
     Source: Dupuy & Jakob 2018, section 5; f * cos(theta_o) = spectra * ndf / (4 sigma).
     """
 
@@ -96,10 +96,10 @@ class MeasuredBRDF(NotebookPicture):
         return f"MeasuredBRDF({self.name!r}, {self.bands})"
 
     def select_bands(self, bands: Sequence[int]) -> MeasuredBRDF:
-        """Return the material in some of its bands; warps are shared.
+        """Return the BRDF in some of its bands; the warps are shared.
 
         Args:
-            bands: increasing indices: all three of an RGB material, or any of a spectral one.
+            bands: increasing band indices; an RGB material needs all three.
 
         Raises:
             UsageError: the indices do not increase, or an RGB material would lose a channel.
@@ -115,7 +115,7 @@ class MeasuredBRDF(NotebookPicture):
         return selected
 
     def turned(self, angle_rad: float) -> MeasuredBRDF:
-        """Return the BRDF turned about the normal by an azimuth in radians; tables are shared.
+        """Return the BRDF turned about the normal by an azimuth in radians; the tables are shared.
 
         Raises:
             UsageError: the azimuth is not finite.
@@ -161,20 +161,20 @@ class MeasuredBRDF(NotebookPicture):
         return out
 
     def eval_at(self, pairs: Pairs) -> Array:
-        """Return `eval` at K pairs, shape (K, B), on one core and outside the interpreter's lock.
+        """Return f in 1/sr at K direction pairs, shape (K, B), on one core and without the interpreter's lock.
 
-        Callers that distribute materials or blocks of pairs over threads use it.
+        Callers that distribute materials or pairs over threads use this method.
         """
         out = np.empty((len(pairs), self.bands.count))
         loops.eval_located(pairs.located(*self.symmetry), self.tables, out)
         return out
 
     def eval(self, wi: Array, wo: Array, out: Array | None = None) -> Array:
-        """Return f in 1/sr, shape (..., B); negative where the file is, as RGB files are for colours outside sRGB.
+        """Return f in 1/sr, shape (..., B); it is negative where the file is, for example for RGB colours outside sRGB.
 
         Args:
-            wi, wo: unit vectors (..., 3) that broadcast against each other. If both are in single precision, so are the
-                values.
+            wi, wo: unit vectors (..., 3) that broadcast against each other. If both are in single precision, so are
+                the values.
             out: contiguous array (..., B) in double or single precision, which receives the values and is returned.
                 Passing the same array in every call saves up to half of the time, because no new memory is
                 allocated.
@@ -232,12 +232,12 @@ class MeasuredBRDF(NotebookPicture):
     def albedo(self, wi: Array, resolution: int = 64) -> Array:
         """Return the directional albedo, shape (..., B), in double precision.
 
-        The integral is computed by the midpoint rule on resolution^2 points of the warped unit square, on which the
-        integrand is smooth: it is nearly the stored spectrum.
+        The integral is computed by the midpoint rule on resolution^2 points of the warped unit square, where the
+        integrand is smooth, because it is nearly the stored spectrum.
 
         Raises:
             ShapeError: as in `eval`.
-            UsageError: the resolution is no integer of at least 4.
+            UsageError: the resolution is not an integer of at least 4.
         """
         require_resolution(resolution)
         wi = require_directions(wi, "wi")

@@ -1,4 +1,4 @@
-"""The azimuth by which an anisotropic specimen was turned when it was measured, from its normals."""
+"""Finds the azimuth by which an anisotropic specimen was turned when it was measured, from its normals."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _DIGITS = 1  # decimals of degrees
 
 
 def aligned(file: BsdfFile) -> BsdfFile:
-    """Return the file turned so that its normals spread most along x; unchanged if no rotation is found."""
+    """Return the file turned so that its normals spread most along x, or unchanged if no rotation is found."""
     rotation = rotation_of(file)
     return file if rotation is None else replace(file, rotation_rad=rotation)
 
@@ -23,10 +23,10 @@ def aligned(file: BsdfFile) -> BsdfFile:
 def rotation_of(file: BsdfFile) -> float | None:
     """Return the azimuth in radians by which the specimen of a file is turned, or None.
 
-    At azimuth 0 the normals spread most along x, so that highlights are wide along x, as the highlights of
-    `principled` and of engines are along the tangent. The result lies above -90 and up to 90 degrees, because
-    second moments of the normals are the same after half a turn; its precision is a tenth of a degree. None means
-    that the file is isotropic, or that its normals spread equally in two or all directions.
+    At azimuth 0 the normals spread most along x, so that highlights are wide along x, as `principled` and game
+    engines expect along the tangent. The result is above -90 and up to 90 degrees, because the second moments of the
+    normals repeat after half a turn; its precision is a tenth of a degree. None means that the file is isotropic, or
+    that its normals spread equally in two or all directions.
     """
     if file.is_isotropic:
         return None

@@ -1,7 +1,8 @@
-"""Projection of a file to a physical one: non-negative, reciprocal, albedo at most 1.
+"""Makes a file physical: non-negative, reciprocal, and with an albedo of at most 1.
 
-Renderers show the values that a file interpolates, not the BRDF that it was measured from. Therefore the nodes are
-projected, and values between them are checked. Values that are already physical stay unchanged, bit for bit.
+Renderers show the values that a file interpolates, not the BRDF from which it was measured. Therefore the values at
+the nodes are changed, and the values between them checked. A file that is already physical stays unchanged, bit for
+bit.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from manifold.core.directions import HORIZON
 from manifold.core.records import Array, BsdfFile, Mask
 
 RECIPROCITY_ERROR = 0.05
-"""The most that a physical file has, and the most by which possible values of exchanged directions differ."""
+"""Largest reciprocity error of a physical file, and largest relative difference of f(wi, wo) and f(wo, wi) in it."""
 
 _AIM = 0.9 * RECIPROCITY_ERROR  # also where bands are scaled by different factors afterwards
 # Albedo to which those above 1 are scaled: quadratures of sharp highlights at 85 degrees err by 1 %.
@@ -39,11 +40,11 @@ _REFINED = ((2.0, 1.0), (2.0, 1.5), (3.0, 2.0), (3.0, 3.0))
 
 
 class ReciprocalBRDF(WrappedBRDF):
-    """A BRDF made reciprocal: f(wi, wo) and f(wo, wi) differ by at most 5 % of their mean; none is negative.
+    """A BRDF made reciprocal: f(wi, wo) and f(wo, wi) differ by at most 5 % of their mean, and neither is negative.
 
-    The mean is `f = (f_cos(wi, wo) + f_cos(wo, wi)) / (cos(theta_i) + cos(theta_o))`: each value is weighted by the
-    cosine that it was measured with, because values at the horizon are extrapolated and divided by a vanishing
-    cosine. Only values further from the mean are moved towards it.
+    The mean is `f = (f_cos(wi, wo) + f_cos(wo, wi)) / (cos(theta_i) + cos(theta_o))`. It weights each value by the
+    cosine with which it was measured, because values at the horizon are extrapolated and divided by a cosine near 0.
+    Only values that differ by more are moved towards the mean.
     """
 
     def eval(self, wi: Array, wo: Array) -> Array:
@@ -69,11 +70,11 @@ def physical_file(
 ) -> BsdfFile:
     """Return the file made physical at and between its nodes; a physical file is returned unchanged.
 
-    Negative values become zero. If the file is not reciprocal within 5 %, values of exchanged directions are
-    averaged; if interpolation still violates reciprocity, first the incidences and then both grids are refined, up
-    to three times as many nodes per axis. `measure` measures the same BRDF with other numbers of incidences and
-    nodes. Finally, bands whose albedo exceeds 1 at an incidence up to 85 degrees are scaled down there, with
-    `keeps_hue` all bands equally.
+    Negative values become zero. If the file is not reciprocal within 5 %, values of swapped directions are averaged.
+    If the interpolated values are still not reciprocal, first the incidences and then both grids are refined, up to
+    three times as many nodes per axis; `measure` then measures the same BRDF with these numbers of incidences and
+    nodes. Finally, bands whose albedo exceeds 1 at an incidence up to 85 degrees are scaled down there; with
+    `keeps_hue`, all bands are scaled by the same factor.
     """
     best, least = _reciprocal(file)
     for incidences, nodes in _REFINED if measure is not None else ():
@@ -122,7 +123,7 @@ def _changed(file: BsdfFile, brdf: BRDF, movable: Mask | None = None) -> tuple[B
 
 
 class AlbedoScaledBRDF(WrappedBRDF):
-    """A BRDF times s(theta_i) s(theta_o), in which s is below 1 only at elevations whose albedo exceeds 1."""
+    """A BRDF multiplied by s(theta_i) s(theta_o), where s is below 1 only at elevations whose albedo exceeds 1."""
 
     def __init__(self, brdf: BRDF, theta_rad: Array, albedo: Array, keeps_hue: bool):
         """Find s at increasing elevations (T,) with albedo (T, B), so that no scaled albedo exceeds 1.

@@ -1,4 +1,4 @@
-"""Physical plausibility of a BRDF: negative values, reciprocity, albedo."""
+"""Measures the physical plausibility of a BRDF: negative values, reciprocity, and albedo."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from manifold.core.directions import (
 from manifold.core.records import Array, BsdfFile
 
 ASSESSED_INCIDENCES_DEG = (30.0, 45.0, 60.0)
-"""Incidences at which the profiles of predictions are assessed."""
+"""Angles of incidence, in degrees, of the profiles in which dips are searched."""
 REACH_DEG = 20.0
-"""Largest angle of profiles from the mirror direction."""
+"""Largest angle of a profile from the mirror direction, in degrees."""
 _DARK = 1e-9  # 1/sr
 
 
@@ -31,7 +31,7 @@ def profile_pairs(
 ) -> tuple[Array, Array]:
     """Return directions wi (I, 1, 3) and wo (I, D, 3) in the plane of incidence, around the mirror direction.
 
-    I counts all incidences at all azimuths.
+    I is the number of incidences times the number of azimuths.
     """
     offset = np.arange(-REACH_DEG, REACH_DEG + 1.0)
     incidence = np.array(incidences_deg)
@@ -44,9 +44,9 @@ def profile_pairs(
 
 
 def valley_depth(f: Array) -> Array:
-    """Return the relative depth of the deepest minimum of profiles f (..., D), shape (...); 0 for dark profiles.
+    """Return the relative depth of the deepest minimum of profiles f (..., D), shape (...); 0 for black profiles.
 
-    The depth is relative to the lower of the maxima on the minimum's two sides.
+    The depth is relative to the lower of the two maxima on either side of the minimum.
     """
     f = np.asarray(f, dtype=np.float64)
     depth = np.empty(f.shape[:-1])
@@ -55,33 +55,33 @@ def valley_depth(f: Array) -> Array:
 
 
 Evaluate = Callable[[Array, Array], Array]
-"""Values f in 1/sr of M BRDFs at direction pairs wi, wo (P, 3): shape (M, P, B)."""
+"""A function that returns f in 1/sr of M BRDFs at direction pairs wi, wo (P, 3), shape (M, P, B)."""
 
 _INCIDENCES_DEG = (5.0, 20.0, 35.0, 50.0, 65.0, 80.0)  # incidences for negative values and reciprocity
 _MIRROR_INCIDENCES_DEG = tuple(range(15, 76, 5))
 _ALBEDO_INCIDENCES_DEG = (0.0, 30.0, 60.0, 75.0)
 FILE_INCIDENCES_DEG = tuple(range(0, 86, 5))
-"""At which the albedo of a file is measured."""
+"""Angles of incidence, in degrees, at which the albedo of a file is measured."""
 
 AZIMUTHS_DEG = tuple(range(0, 360, 45))
-"""Azimuths of incidence for anisotropic BRDFs."""
+"""Azimuths of incidence for anisotropic BRDFs, in degrees."""
 
 
 @dataclass(frozen=True)
 class Plausibility:
-    """How physical a BRDF is: negative values, reciprocity error, albedo, and valleys of the highlight.
+    """How physical a BRDF is: its negative values, reciprocity error, albedo, and dips in the highlight.
 
     Attributes:
         negative_share: share of values below zero over direction pairs and bands: the larger of the share over the
             hemisphere and the share around the mirror direction, where a narrow lobe can be negative.
-        reciprocity_error: cosine-weighted norm of f(wi, wo) - f(wo, wi) over the norm of f; the larger of the same
-            two. Measured materials are not exactly reciprocal.
-        max_albedo: largest directional albedo over bands and incidences of 0, 30, 60 and 75 degrees; of a file, of
-            0, 5, ... 85 degrees.
-        highlight_valley: depth of the deepest in-plane minimum within 20 degrees of the mirror direction, at incidences
-            of 30, 45 and 60 degrees, as a share of the lower of the highest values on its two sides; the mean of bands.
-            Only the depth that the geometric mean of the two sides of the mirror direction shares is counted,
-            because a rise towards grazing is no valley.
+        reciprocity_error: cosine-weighted norm of f(wi, wo) - f(wo, wi) over the norm of f; the larger of the errors
+            over the hemisphere and around the mirror direction. Measured materials are not exactly reciprocal.
+        max_albedo: largest directional albedo over bands and incidences: 0, 30, 60 and 75 degrees for a BRDF; 0, 5,
+            ... 85 degrees for a file.
+        highlight_valley: relative depth of the deepest in-plane minimum within 20 degrees of the mirror direction, at
+            incidences of 30, 45 and 60 degrees, averaged over the bands. The depth is relative to the lower of the
+            two maxima on either side of the minimum. It is limited to the depth in the geometric mean of both sides
+            of the mirror direction, because a rise towards grazing on one side is not a dip.
         albedo_incidence_deg: elevation at which the albedo is largest.
 
     Anisotropic BRDFs are evaluated at eight azimuths of incidence, isotropic ones at one.
@@ -102,7 +102,7 @@ def plausibility(brdf: BRDF) -> Plausibility:
 def plausibilities(evaluate: Evaluate, is_isotropic: bool = True) -> list[Plausibility]:
     """Return the plausibility of M BRDFs that are evaluated together, in blocks of direction pairs.
 
-    Anisotropic ones are measured at eight azimuths of incidence.
+    Anisotropic BRDFs are evaluated at eight azimuths of incidence.
     """
     wo, _ = hemisphere_quadrature(12, 16)
     wide = [(wi, wo, np.ones(len(wo))) for wi in incident_directions(_INCIDENCES_DEG, is_isotropic)]
@@ -135,7 +135,7 @@ def plausibility_of_file(file: BsdfFile) -> Plausibility:
 def albedo_at(brdf: BRDF, elevations_deg: Sequence[float]) -> Array:
     """Return the largest directional albedo at K elevations, shape (K,).
 
-    It is the largest over bands, and over azimuths of anisotropic BRDFs.
+    The largest value is taken over the bands and, for anisotropic BRDFs, over eight azimuths.
     """
     wi = incident_directions(elevations_deg, brdf.is_isotropic)
     return np.asarray(brdf.albedo(wi).reshape(len(elevations_deg), -1).max(axis=1))
@@ -156,7 +156,7 @@ def _highlight_valley(evaluate: Evaluate, is_isotropic: bool) -> Array:
 
 
 def incident_directions(elevations_deg: Sequence[float] | Array, is_isotropic: bool) -> Array:
-    """Return incident directions (K, 3); for anisotropic BRDFs at eight azimuths each, which vary first."""
+    """Return incident directions (K, 3) at the elevations; for anisotropic BRDFs, at eight azimuths each."""
     azimuths = (0,) if is_isotropic else AZIMUTHS_DEG
     return from_spherical(np.deg2rad(elevations_deg)[:, None], np.deg2rad(azimuths)).reshape(-1, 3)
 
@@ -185,8 +185,8 @@ def _over_incidences(
 def mirror_difference(brdf: BRDF, other: BRDF) -> float:
     """Return the relative difference of two BRDFs near mirror directions.
 
-    It is the largest of `sum |f* - f| / sum f` at incidences of 15, 20, ... 75 degrees (and at each azimuth); the
-    sums go over bands and directions within five degrees of the mirror direction. Negative values count as 0.
+    It is the largest value of `sum |f* - f| / sum f` over incidences of 15, 20, ... 75 degrees and over azimuths. The
+    sums run over bands and over directions within five degrees of the mirror direction. Negative values count as 0.
     """
     wi = incident_directions(_MIRROR_INCIDENCES_DEG, brdf.is_isotropic and other.is_isotropic)
     m = from_spherical(np.deg2rad([0.0, 0.5, 1.0, 1.5, 2.0, 2.5])[:, None], np.deg2rad(range(0, 360, 45)))
@@ -214,8 +214,8 @@ def quadrature_albedo(brdf: BRDF, wi: Array, resolution: int) -> Array:
 def mirrored_quadrature(wi: Array, n_theta: int = 32, n_phi: int = 32) -> tuple[Array, Array]:
     """Return outgoing directions (P, 3) above the horizon and their weights in sr, dense around the mirror direction.
 
-    The nodes are half vectors m. In elevation they are Gauss-Legendre nodes in its fourth root, which resolve lobes
-    down to alpha = 0.02; d omega_o = 4 <wi, m> d omega_m.
+    The nodes are half vectors m: Gauss-Legendre nodes in the fourth root of the elevation, which resolve lobes down
+    to alpha = 0.02. The weights follow from d omega_o = 4 <wi, m> d omega_m.
     """
     x, weights = gauss_legendre(n_theta)
     t = 0.5 * (x + 1.0)

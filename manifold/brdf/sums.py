@@ -1,4 +1,4 @@
-"""Weighted sums of measured BRDFs, or of their cube roots, evaluated together for each direction pair."""
+"""Evaluates weighted sums of measured BRDFs, or of their cube roots, at direction pairs."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ class WeightedSum:
         ]
 
     def add_to(self, total: Array, pairs: Pairs) -> None:
-        """Add the sum at K direction pairs to a total (K, B), of `dtype`, C-contiguous.
+        """Add the sum at K direction pairs to `total` (K, B), a C-contiguous array of `dtype`.
 
-        The sum runs on one core, without the interpreter's lock. Pairs below the horizon add 0.
+        The loop runs on one core, without the interpreter's lock. Pairs below the horizon add 0.
         """
         for symmetry, tables, weights in self._groups:
             loops.add_located(pairs.located(*symmetry), tables, weights, self._cube_root, total)

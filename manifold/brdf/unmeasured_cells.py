@@ -1,8 +1,8 @@
-"""Unmeasured cells of files: empty cells above the horizon, filled before materials are combined.
+"""Finds and fills the cells of a file that were not measured although they are above the horizon.
 
-A file marks cells that were not measured by zeros in all bands, or in `valid`. Below the horizon zero is the right
-value; above it, a prediction would show the empty cells of all its materials as dark spots, magnified where weights are
-large. Files are not changed.
+A file marks such cells by zeros in all bands or in the field `valid`. Below the horizon zero is the right value.
+Above it, a prediction would show the empty cells of all its materials as dark spots, so they are filled before
+materials are combined. The files themselves are not changed.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ class Cells:
     """The cells (R, C) of an outgoing grid at one incident direction.
 
     Attributes:
-        points: unit-square coordinates of their half vectors, shape (R, C, 2).
+        points: coordinates of the half vectors in the unit square, shape (R, C, 2).
         wi: the incident direction, shape (3,).
         wo: outgoing directions, shape (R, C, 3).
-        is_above: whether these are above the horizon, bool, shape (R, C).
+        is_above: whether the outgoing directions are above the horizon, bool, shape (R, C).
         density: the warp's density at the points, per unit of square area, shape (R, C).
     """
 
@@ -42,8 +42,8 @@ class Cells:
     ) -> Cells:
         """Return the cells of a grid (R, C) under the warp of the visible normals, at an incident direction in radians.
 
-        On the horizon, the limit of the warp is taken. In an isotropic file, azimuths of half vectors count from
-        the azimuth of the incident direction.
+        On the horizon the limit of the warp is used. In an isotropic file, the azimuths of half vectors are relative
+        to the azimuth of the incident direction.
         """
         rows, columns = (np.linspace(0.0, 1.0, n) for n in shape)
         points, density = warp.sample(np.stack(np.meshgrid(columns, rows), axis=-1), phi_i, theta_i)
@@ -58,7 +58,10 @@ class Cells:
 def cells_of(
     file: BsdfFile, slices: Iterable[Sequence[int]] | None = None
 ) -> Iterator[tuple[int, int, Cells]]:
-    """Yield the cells of a file's slices, all by default, with their indices p of azimuth and t of elevation."""
+    """Yield `(p, t, cells)` for the slices of a file: the indices of azimuth and elevation, and the cells.
+
+    `slices` selects pairs (p, t); None yields all.
+    """
     warp = Warp(file.vndf, file.phi_i_rad, file.theta_i_rad)
     shape = file.spectra.shape
     for p, t in np.ndindex(shape[:2]) if slices is None else slices:
@@ -77,7 +80,7 @@ _NEIGHBOURS = np.array([[1.0, 2.0, 1.0], [2.0, 0.0, 2.0], [1.0, 2.0, 1.0]])
 
 
 def unmeasured_cells(file: BsdfFile) -> Mask:
-    """Return a mask of cells above the horizon that are zero in all bands or not measured, shape (P, T, H, W)."""
+    """Return a mask of the cells above the horizon that are zero in all bands or not measured, shape (P, T, H, W)."""
     unmeasured: Mask = np.all(file.spectra == 0, axis=2) | np.logical_not(file.measured_mask)
     suspects = np.any(unmeasured, axis=(2, 3)) & (file.theta_i_rad < STEEPEST)[None, :]
     if not np.any(suspects):
@@ -89,7 +92,7 @@ def unmeasured_cells(file: BsdfFile) -> Mask:
 
 
 def find_rim(file: BsdfFile) -> Mask:
-    """Return a mask of cells above the horizon that are too close to it to be measured, bool, shape (P, T, H, W)."""
+    """Return a mask of the cells that are too close above the horizon to be measured, bool, shape (P, T, H, W)."""
     rim = np.zeros_like(file.measured_mask)
     for p, t, cells in cells_of(file):
         rim[p, t] = cells.is_above & (cells.wo[..., 2] <= LEAST_COSINE)
@@ -97,13 +100,13 @@ def find_rim(file: BsdfFile) -> Mask:
 
 
 def unmeasured_share(file: BsdfFile, cells: Mask) -> float:
-    """Return the share of unmeasured cells (P, T, H, W) among the cells that should hold a value."""
+    """Return the share of unmeasured cells (P, T, H, W) among the cells above the horizon."""
     expected = np.any(file.spectra != 0, axis=2) | cells
     return float(np.sum(cells) / max(int(np.sum(expected)), 1))
 
 
 def blank_unmeasured(file: BsdfFile) -> BsdfFile:
-    """Return the file with NaN in its unmeasured cells; every value interpolated from one becomes NaN."""
+    """Return the file with NaN in its unmeasured cells; every value interpolated from such a cell becomes NaN."""
     cells = unmeasured_cells(file)
     return replace(file, spectra=np.where(cells[:, :, None], np.float32(np.nan), file.spectra))
 
@@ -111,11 +114,11 @@ def blank_unmeasured(file: BsdfFile) -> BsdfFile:
 def fill_unmeasured(file: BsdfFile, cells: Mask | None = None, *, copy: bool = True) -> BsdfFile:
     """Return the file with its unmeasured cells filled from their rims inwards.
 
-    The cells are found unless they are given. A file without such cells is returned unchanged. Without `copy`, the
-    file's own spectra, which must be writeable, are filled.
+    If `cells` is None, the cells are found first. A file without such cells is returned unchanged. Without `copy`,
+    the file's own spectra, which must be writeable, are filled.
 
-    In every pass, cells that touch known ones get the mean of their known neighbours, of which direct neighbours
-    count double. A slice without any known cell stays unchanged.
+    In every pass, an empty cell beside filled cells gets the mean of its filled neighbours; direct neighbours count
+    double, diagonal ones once. A slice without any measured cell stays unchanged.
     """
     cells = unmeasured_cells(file) if cells is None else cells
     if not np.any(cells):

@@ -1,8 +1,8 @@
 """Piecewise-bilinear warps of the unit square: a marginal over rows, then a conditional over columns.
 
-A warp holds one density per pair of conditional parameters (incident azimuth, incident elevation) on a grid
-of R x C nodes over [0, 1]^2; x runs over columns, y over rows. Between parameters the densities *and* their
-cumulative sums are blended linearly, so that evaluate, sample and invert stay consistent.
+A warp holds one density for each incident azimuth and elevation, on a grid of R x C nodes over [0, 1]^2; x runs over
+columns, y over rows. Between these parameters, both the densities and their cumulative sums are interpolated
+linearly, so that `evaluate`, `sample` and `invert` stay consistent.
 
 Source: Dupuy & Jakob 2018, section 4; the interpolation is that of Mitsuba's `Marginal2D`.
 """
@@ -27,9 +27,10 @@ def interpolate(table: Array, points: Array) -> Array:
 
 
 def cumulative_sums(values: Array) -> tuple[Array, Array, Array]:
-    """Normalise densities (P, T, R, C) to integrate to 1, and add them up.
+    """Normalise densities (P, T, R, C) so that each integrates to 1, and compute their cumulative sums.
 
-    Returns densities (P * T, R, C), their cumulative sums along each row, and those of the rows (P * T, R).
+    Returns the densities (P * T, R, C), their cumulative sums along each row, and the cumulative sums over the rows
+    (P * T, R).
     """
     data = values.astype(np.float64).reshape(-1, *values.shape[2:])
     conditional = np.zeros_like(data)
@@ -42,10 +43,10 @@ def cumulative_sums(values: Array) -> tuple[Array, Array, Array]:
 
 
 class Warp:
-    """A family of densities on the unit square, one per (phi, theta), each of which integrates to 1.
+    """A family of densities on the unit square, one for each (phi, theta); each integrates to 1.
 
     Attributes:
-        tables: normalised densities and their cumulative sums, as the compiled loops read them.
+        tables: normalised densities and their cumulative sums, in the form that the compiled loops read.
     """
 
     def __init__(self, values: Array, phi_nodes: Array, theta_nodes: Array) -> None:

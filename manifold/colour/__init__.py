@@ -1,4 +1,4 @@
-"""Spectra, illuminants, reflectances, colours and their differences; colour-science is imported on first use."""
+"""Spectra, illuminants, reflectances, colours and colour differences; colour-science is imported at first use."""
 
 import lazy_loader
 

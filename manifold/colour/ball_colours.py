@@ -1,4 +1,4 @@
-"""Colours of a material's ball under the studio light, by quadrature: a fast substitute for a render.
+"""Computes the colours of a material's ball in studio light by quadrature, a fast substitute for rendering.
 
 The ball floats in the studio of `manifold.colour.lights`, with the light of the floor from below, and is seen from
 far away. Each pixel shows one point of the ball, at which the incident light is summed over half vectors. These are
@@ -30,7 +30,7 @@ _ENVIRONMENT_ROWS, _BLUR = 20, 12
 def environment() -> Array:
     """Return the light of the studio and, from below, of its floor, in coarse cells that soften edges.
 
-    Radiance, float32, laid out as `lights.studio` does, shape (20, 40, 3).
+    The result is radiance, float32, in the layout of `lights.studio`, shape (20, 40, 3).
     """
     fine = lights.studio(_ENVIRONMENT_ROWS * _BLUR)
     image: Array = fine.reshape(_ENVIRONMENT_ROWS, _BLUR, 2 * _ENVIRONMENT_ROWS, _BLUR, 3).mean(axis=(1, 3))
@@ -70,25 +70,25 @@ class Picture(Pairs):
         return np.asarray(self.sums.sum(axis=0))
 
     def xyz(self, f: Array, bands: Bands) -> Array:
-        """Return CIE XYZ (K, 3) under D65 of each pixel, as a display shows it, of BRDF values (P, B) in 1/sr.
+        """Return the CIE XYZ values (K, 3) under D65 of pixels on a display, from BRDF values f (P, B) in 1/sr.
 
-        Values outside the range of linear sRGB are clipped to it, as in a picture without tone mapping.
+        Colours are clipped to the range of linear sRGB, as in a picture without tone mapping.
         """
         linear = xyz_to_srgb(self.of(to_xyz(f, bands)), to_xyz(np.ones(bands.count), bands))
         return srgb_to_xyz(np.clip(linear, 0.0, 1.0))
 
     def difference(self, f: Array, f_star: Array, bands: Bands) -> float:
-        """Return the mean CIEDE2000 between the balls of two materials from their BRDF values, as for `xyz`."""
+        """Return the mean CIEDE2000 between the balls of two materials, given their BRDF values as for `xyz`."""
         return delta_e(self.xyz(f, bands), self.xyz(f_star, bands))
 
     def under(self, radiance: Array) -> Picture:
-        """Return this picture under white light of another radiance (P,) along wo."""
+        """Return this picture under white light with another radiance (P,) along wo."""
         sums = self.sums.copy()
         sums.data *= radiance[sums.indices]
         return Picture(self.wi, self.wo, sums, self.places)
 
     def of_pixels(self, pixels: slice) -> Picture:
-        """Return some of the pixels, and the pairs that light them."""
+        """Return a picture of some of the pixels, with the direction pairs that light them."""
         sums = self.sums[pixels]
         used = np.unique(sums.indices)
         return Picture(self.wi[used], self.wo[used], sums[:, used], self.places[pixels])
@@ -100,7 +100,7 @@ def delta_e(xyz: Array, xyz_star: Array) -> float:
 
 
 def sums_of_runs(weights: Array, starts: Indices) -> scipy.sparse.csr_array:
-    """Return weights (P,) of pairs as a matrix of sums over runs that begin at starts (K,), shape (K, P)."""
+    """Return a matrix (K, P) that sums weighted values over K runs of pairs, given the weights (P,) and starts (K,)."""
     P = len(weights)
     return scipy.sparse.csr_array((weights, np.arange(P), np.append(starts, P)), shape=(len(starts), P))
 
@@ -109,9 +109,10 @@ def sums_of_runs(weights: Array, starts: Indices) -> scipy.sparse.csr_array:
 def ball(
     pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES, *, turned_deg: float = 0.0
 ) -> Picture:
-    """Return a ball in a square of pixels^2, each lit by at most rings * spokes half vectors, cached and read-only.
+    """Return a ball in a square of `pixels`^2 pixels, each lit by at most rings * spokes half vectors.
 
-    The studio is turned about the vertical; by 180 degrees it has its key light behind the ball.
+    The result is cached and read-only. `turned_deg` turns the studio about the vertical; at 180 degrees its key light
+    is behind the ball.
     """
     white, world = white_ball(pixels, rings, spokes)
     return white.under(radiance_at(environment(), rotate_z(world, np.deg2rad(turned_deg))))
@@ -119,7 +120,7 @@ def ball(
 
 @lru_cache(maxsize=8)
 def white_ball(pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES) -> tuple[Picture, Array]:
-    """Return `ball` under radiance 1 from everywhere, and the world's directions of wo (P, 3), both read-only."""
+    """Return `ball` under radiance 1 from all directions, and wo in world directions (P, 3), both read-only."""
     x, y, frame = frames(pixels)
     u = (np.arange(rings) + 0.5) / rings
     theta = np.repeat(0.5 * np.pi * u * u, spokes)
@@ -139,7 +140,7 @@ def white_ball(pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES
 
 
 def frames(pixels: int) -> tuple[Array, Array, Array]:
-    """Return right and up (K,) of the pixels of a ball in a square of pixels^2, and their frames (K, 3, 3) in rows."""
+    """Return the positions right and up (K,) of a ball's pixels, and the local frames there (K, 3, 3), as rows."""
     right = normalize(np.cross([0.0, 0.0, 1.0], VIEW))
     up = np.cross(VIEW, right)
     across = 2.0 * (np.arange(pixels) + 0.5) / pixels - 1.0
@@ -156,10 +157,8 @@ def frames(pixels: int) -> tuple[Array, Array, Array]:
 def sun_ball(degrees: float, pixels: int) -> Picture:
     """Return the lit pixels of a ball under a distant lamp, one direction pair each.
 
-    The ball is `pixels` across. The result is cached: do not write to it.
-
-    A white diffuser that faces the lamp has the radiance 1. The lamp is to the right of the view by `degrees`; above 90
-    it stands behind the ball.
+    The ball is `pixels` wide. A white diffuser that faces the lamp has radiance 1. The lamp is `degrees` to the right
+    of the view; above 90 it is behind the ball. The result is cached: do not write to it.
     """
     x, y, frame = frames(pixels)
     right = normalize(np.cross([0.0, 0.0, 1.0], VIEW))
@@ -171,7 +170,7 @@ def sun_ball(degrees: float, pixels: int) -> Picture:
 
 
 def radiance_at(image: Array, directions: Array) -> Array:
-    """Return the radiance (M,) of an environment without colour from world directions (M, 3), bilinear."""
+    """Return the bilinearly interpolated radiance (M,) of a colourless environment from world directions (M, 3)."""
     rows, columns = image.shape[:2]
     elevation = np.arccos(np.clip(directions[:, 2], -1.0, 1.0)) / np.pi * rows - 0.5
     azimuth = np.arctan2(directions[:, 0], directions[:, 1]) / (2.0 * np.pi) * columns - 0.5

@@ -1,4 +1,4 @@
-"""Tables of colour-science as plain arrays; the package is imported on first use, and its tables cached."""
+"""Provides tables of colour-science as arrays; the package is imported at first use, and its tables are cached."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def cached(name: str, key: str, compute: Callable[[], Any]) -> Any:
 
 
 OBSERVER = "CIE 1931 2 Degree Standard Observer"
-"""The colour-matching functions behind XYZ and sRGB, by their name in colour-science."""
+"""Name in colour-science of the colour-matching functions for XYZ and sRGB."""
 
 
 @lru_cache(maxsize=1)
@@ -64,7 +64,7 @@ class StandardTables:
     Attributes:
         illuminants: wavelengths in nm and relative power, shape (K,) each, by name.
         observer: wavelengths in nm, shape (K,), and colour-matching functions, shape (K, 3).
-        bradford: from XYZ to the cone responses that adaptation scales, shape (3, 3).
+        bradford: matrix from XYZ to the cone responses that chromatic adaptation scales, shape (3, 3).
     """
 
     illuminants: Mapping[str, tuple[Array, Array]]

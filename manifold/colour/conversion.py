@@ -1,4 +1,4 @@
-"""Conversions from bands to CIE XYZ and sRGB, and between these."""
+"""Converts values in bands to CIE XYZ and sRGB, and between these."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ SRGB_TO_XYZ = frozen(
         ]
     )
 )
-"""The matrix from linear sRGB to XYZ, by the primaries and white of IEC 61966-2-1, which rounds it."""
+"""The matrix from linear sRGB to XYZ, computed from the primaries and white of IEC 61966-2-1."""
 _RGB_WEIGHTS = frozen(SRGB_TO_XYZ.T.copy())
 
 VISIBLE_NM = (380.0, 780.0)
-"""The range in which bands have a colour, in nm."""
+"""The range of visible wavelengths, in nm."""
 
 
 class InvisibleBandsWarning(UserWarning):
-    """A colour is requested of bands that all lie in the infrared or ultraviolet."""
+    """Warns that a colour is requested although all bands are in the infrared or ultraviolet."""
 
 
 def to_xyz(values: Array, bands: Bands, illuminant: str = "D65") -> Array:
@@ -38,8 +38,8 @@ def to_xyz(values: Array, bands: Bands, illuminant: str = "D65") -> Array:
 
     A perfect diffuser has Y = 1 under every illuminant.
 
-    The spectrum is taken as piecewise linear between the bands and constant beyond them, and integrated at 1 nm against
-    the illuminant times the 2 degree observer of 1931. Linear sRGB values (RGB bands) have no spectrum: the sRGB
+    The spectrum is interpolated linearly between the bands, constant beyond them, and integrated in steps of 1 nm
+    with the illuminant times the 2 degree observer of 1931. Linear sRGB values (RGB bands) have no spectrum: the sRGB
     matrix converts them, and the illuminant has no effect, but must exist.
 
     >>> bands = Bands(tuple(range(400, 701, 10)))
@@ -58,12 +58,12 @@ def to_srgb(values: Array, bands: Bands, illuminant: str = "D65", *, adapt: bool
 
     Args:
         values: spectra, shape (..., B).
-        bands: their B bands.
+        bands: the B bands of the spectra.
         illuminant: one of `illuminant_names()`.
-        adapt: whether its white becomes that of D65.
+        adapt: whether the illuminant's white is adapted to D65.
 
     Raises:
-        UsageError: there is no such illuminant, or it gives no light where the observer sees.
+        UsageError: there is no such illuminant, or it has no power at visible wavelengths.
         ShapeError: the last axis of `values` is not B.
 
     >>> bands = Bands(tuple(range(400, 701, 10)))
@@ -80,12 +80,12 @@ def to_srgb(values: Array, bands: Bands, illuminant: str = "D65", *, adapt: bool
 
 @lru_cache(maxsize=64)
 def warn_if_invisible(bands: Bands) -> None:
-    """Warn once if no band is visible, because colours are then only a grey of invisible bands."""
+    """Warn once if no band is visible, because colours are then meaningless greys."""
     low, high = VISIBLE_NM
     if not any(low <= nm <= high for nm in bands.wavelengths_nm or VISIBLE_NM):
         warnings.warn(
-            f"{bands}: no colour, expected bands between {low:g} and {high:g} nm; red, green and blue continue the "
-            "nearest bands",
+            f"{bands} are not visible and have no colour, expected bands between {low:g} and {high:g} nm; the colours "
+            "shown are those of the nearest bands, extrapolated",
             InvisibleBandsWarning,
             stacklevel=4,
         )
@@ -111,7 +111,7 @@ def luminance(values: Array, bands: Bands) -> Array:
 def xyz_weights(bands: Bands, illuminant: str = "D65", observer_deg: int = 2) -> Array:
     """Return the read-only matrix (B, 3) from band values to XYZ; see `to_xyz`.
 
-    Linear sRGB has one observer, 2 degrees.
+    Linear sRGB is defined only for the 2 degree observer.
     """
     light = Illuminant.named(illuminant)
     if bands.is_rgb:
@@ -146,7 +146,7 @@ def interpolation_matrix(nodes: Array, at: Array) -> Array:
 def xyz_to_srgb(xyz: Array, white: Array | None = None) -> Array:
     """Convert XYZ (..., 3) to linear sRGB, not clipped.
 
-    The XYZ are seen under a white (3,) that becomes (1, 1, 1), by default D65.
+    `white` (3,), by default D65, is the XYZ that becomes (1, 1, 1).
     """
     to_rgb = np.linalg.inv(SRGB_TO_XYZ)
     if white is not None:

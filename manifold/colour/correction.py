@@ -1,7 +1,7 @@
 """Colour correction of one instrument to another: polynomials of three bands, and their JSON file.
 
-Errors are relative, so that highlights do not dominate. Values larger than those that a polynomial was fitted to
-are scaled down, corrected and scaled up again, because the higher terms explode there.
+Errors are relative, so that highlights do not dominate. Values larger than those to which a polynomial was fitted are
+scaled down, corrected and scaled up again, because higher terms would extrapolate wildly.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class ColourCorrection:
         form: one of `FORMS`.
         matrix: coefficients of the terms, shape (T, B).
         scale: values are divided by it before the terms are computed.
-        largest: norm of the largest divided values that the correction was fitted to.
+        largest: norm of the largest divided values to which the correction was fitted.
         errors: relative leave-one-out error of every form that was tried; NaN if there are too few values.
         uncorrected: the relative error of spectra that are estimated without a correction (see `narrow_bands`); NaN
             if the bands are not blue, green and red.
@@ -105,14 +105,15 @@ def learn_correction(
 ) -> ColourCorrection:
     """Fit the correction from x (n, 3), at least 0, to y (n, B) that has the smallest leave-one-out error.
 
-    With `groups` (n,), whole specimens are left out. Only forms are tried whose terms are determined if any
+    With `groups` (n,), whole specimens are left out. A form is tried only if its terms are determined when any
     specimen is left out. The result is the best form among those that worsen at most a quarter of the specimens,
     or, if there is none, the best among those that worsen the fewest.
     """
     x, y = np.maximum(np.asarray(x, np.float64), 0.0), np.asarray(y, np.float64)
     if len(x) < 4 or not x.max() > 0.0:
         raise UsageError(
-            f"the instruments share {len(x)} directions, expected four or more with light for a colour correction"
+            f"the instruments share {len(x)} directions, expected at least four with values above 0 to learn a "
+            "colour correction"
         )
     scale = float(x.max())
     unit, wanted = x / scale, y / scale

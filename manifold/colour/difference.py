@@ -1,4 +1,4 @@
-"""Colour differences of predictions: CIEDE2000 and spectral angle at the geometries of multi-angle instruments.
+"""Computes colour differences, CIEDE2000 and spectral angle, at the geometries of multi-angle instruments.
 
 Light comes in at 45 degrees; the detectors stand in the plane of incidence at aspecular angles of -15, 15, 25,
 45, 75 and 110 degrees, counted from the mirror direction towards the light, as in ASTM E2194 and E2539 for
@@ -43,7 +43,7 @@ def illuminants_for(bands: Bands) -> tuple[str, ...]:
 
 
 def colour_differences(f: Array, f_star: Array, bands: Bands, illuminant: str) -> tuple[Array, Array]:
-    """Return CIEDE2000 (...) and spectral angle (...) in degrees between two f (..., B) in 1/sr.
+    """Return CIEDE2000 (...) and spectral angle (...) in degrees between BRDF values f and f_star (..., B) in 1/sr.
 
     Colours are relative to the illuminant's white. The spectral angle is the angle between the spectra of the
     reflected light, or between linear sRGB vectors for RGB bands.

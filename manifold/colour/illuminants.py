@@ -29,8 +29,8 @@ class Illuminant:
     """A light: its relative spectral power, and the name of the CIE illuminant or of the file.
 
     Attributes:
-        wavelengths_nm: increasing.
-        power: one value per wavelength, linear between, 0 beyond.
+        wavelengths_nm: increasing wavelengths in nm.
+        power: relative power at each wavelength; it is interpolated linearly, and 0 outside.
     """
 
     name: str

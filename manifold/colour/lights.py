@@ -27,8 +27,8 @@ _ZENITH, _HORIZON = 0.9, 0.28
 def studio(height: int = 256) -> Array:
     """Return the studio, the default environment: a dim dome and three soft boxes, without colour.
 
-    Radiance, float32, shape (height, 2 height, 3); row 0 is the zenith, column 0 straight ahead, to the right from
-    there.
+    The result is radiance, float32, shape (height, 2 height, 3). Row 0 is the zenith; column 0 is straight ahead, and
+    columns continue to the right.
     """
     direction = directions(height)
     elevation = np.maximum(direction[..., 2], 0.0)
@@ -48,9 +48,9 @@ def directions(height: int) -> Array:
 def soft_box(
     direction: Array, azimuth: float, elevation: float, half_width: float, half_height: float
 ) -> Array:
-    """Return 1 for directions (..., 3) within a box, 0 elsewhere, smooth between.
+    """Return 1 for directions (..., 3) within a box, 0 outside, with smooth edges.
 
-    The box has its place and size in degrees.
+    The position and size of the box are in degrees.
     """
     forward = from_spherical(np.pi / 2 - np.deg2rad(elevation), np.deg2rad(azimuth))
     right = from_spherical(np.pi / 2, np.deg2rad(azimuth) + np.pi / 2)
@@ -65,14 +65,14 @@ def soft_box(
 def exposed(environment: Array) -> Array:
     """Scale an environment (H, W, 3), so that a white diffuser on the floor has the mean radiance 1.
 
-    The environment is laid out as `studio` does.
+    The environment has the layout of `studio`.
     """
     require_light(environment)
     theta = np.pi * (np.arange(len(environment)) + 0.5) / len(environment)
     cosine = np.maximum(np.cos(theta), 0.0) * np.sin(theta)
     total = np.sum(environment.mean(axis=(1, 2)) * cosine) / np.sum(cosine)
     if not total > 0.0:
-        raise UsageError("the environment is black above the horizon; expected light from there")
+        raise UsageError("the environment is black above the horizon, expected light from there")
     return np.asarray(environment / total, dtype=np.float32)
 
 
@@ -85,7 +85,7 @@ def require_light(environment: Array) -> None:
         )
     if not np.isfinite(environment).all():
         raise UsageError(
-            "an environment with transparent pixels, or values that are not finite, expected light"
+            "the environment has transparent pixels or values that are not finite, expected finite radiance"
         )
     if (least := float(environment.min())) < 0.0:
         raise UsageError(
@@ -93,7 +93,7 @@ def require_light(environment: Array) -> None:
             f"{np.count_nonzero(environment < 0.0)} values to 0"
         )
     if not environment.max() > 0.0:
-        raise UsageError("an environment that is black, expected light")
+        raise UsageError("the environment is black, expected radiance above 0")
 
 
 def _plateau(angle_deg: Array, half_width: float) -> Array:
@@ -111,8 +111,8 @@ _LAMP, _DARK = (-140.0, 45.0), 0.0015
 def environment(name: str, height: int = 128) -> Array:
     """Return one of `ENVIRONMENTS`, with its floor's light from below, as linear sRGB radiance.
 
-    float32, shape (height, 2 height, 3), laid out as `studio` does. A white diffuser on the floor has the
-    mean radiance 1.
+    The result is float32, shape (height, 2 height, 3), in the layout of `studio`. A white diffuser on the floor has
+    the mean radiance 1.
     """
     make, floor = ENVIRONMENTS[name]
     image = exposed(make(height))

@@ -24,13 +24,13 @@ from manifold.core.records import Array, Bands
 from manifold.formats.readings import DAYLIGHT, Readings, Viewing
 
 SPECTRUM = Bands(tuple(np.arange(400.0, 701.0, 10.0).tolist()))
-"""The bands that are estimated."""
+"""The bands of estimated spectra."""
 _RANGES_NM = ((400.0, 500.0), (480.0, 580.0), (580.0, 700.0))
 _NOISE = 0.02  # standard deviation of the noise of cube roots, relative to their mean
 
 
 def is_narrow(bands: Bands) -> bool:
-    """Return whether the bands are three: in the blue, the green and the red."""
+    """Return whether there are three bands: one in the blue, one in the green and one in the red."""
     nm = bands.wavelengths_nm
     return (
         nm is not None
@@ -45,7 +45,7 @@ def estimate_spectra(values: Array, bands: Bands) -> Array:
 
 
 def with_spectra(readings: Readings) -> Readings:
-    """Return readings in three narrow bands as spectra, with a note of the expected error of their colours.
+    """Return readings in three narrow bands as spectra, with a note about the expected error of their colours.
 
     Other readings are converted by `in_daylight`.
     """
@@ -72,7 +72,7 @@ def with_spectra(readings: Readings) -> Readings:
 
 
 def in_daylight(readings: Readings) -> Readings:
-    """Return readings in linear sRGB relative to D65/2; if they had another light, with a note on the error.
+    """Return readings in linear sRGB relative to D65/2, with a note about the error if they had another light.
 
     Other readings are returned unchanged.
     """
@@ -86,7 +86,7 @@ def in_daylight(readings: Readings) -> Readings:
     values[seen] = xyz_to_srgb(xyz) / np.pi
     median, most = conversion_errors(readings.viewing)
     note = (
-        f"colours under {readings.viewing} are converted to D65/2 as if spectra were smooth: expected colour error "
+        f"colours under {readings.viewing} are converted to D65/2 assuming smooth spectra: expected colour error "
         f"{median:.1f} CIEDE2000 (D65/2), above {most:.1f} for one colour in ten"
     )
     converted = replace(
@@ -110,7 +110,7 @@ def conversion_errors(viewing: Viewing) -> tuple[float, float]:
 
 @lru_cache(maxsize=8)
 def colour_errors(bands: Bands) -> tuple[float, float]:
-    """Return median and 90th percentile of the CIEDE2000 (D65) of measured reflectances, estimated from the others.
+    """Return median and 90th percentile of CIEDE2000 (D65) of measured reflectances that are estimated from the others.
 
     Reflectances of the same name, such as one patch of several ColorCheckers, are left out together.
     """

@@ -1,8 +1,8 @@
-"""Sets of lights: those in which fits minimise errors, and those in which errors are measured.
+"""Two sets of lights: the lights of fits, and the test lights in which errors are measured.
 
 A single soft light underestimates errors, because a fit to it looks worse in other lights. Therefore fits minimise
-the error of the ball in several lights, and errors are measured in others, `judged_lights.JUDGED`: their mean, and
-the worst of them by name.
+the error of the ball in several lights, and errors are measured in five others, `judged_lights.JUDGED`: the mean over
+them, and the worst light.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from manifold.core.records import Array, Bands, Indices
 FITTED = (
     "studio 60", "studio 180", "studio 300", "overcast", "sun 20", "sun 35", "sun 60", "sun 75", "sun 110",
 )  # fmt: skip
-"""The lights of fits: the studio turned by some degrees, suns some degrees beside the view, an overcast sky."""
+"""The lights of fits: the studio turned by an angle in degrees, suns at an angle from the view, an overcast sky."""
 
 SUN_DEG = 45.0
 """Angle between the view and the sun under which highlights are looked at."""
@@ -35,7 +35,7 @@ _SUN_PIXELS = 32  # across the ball
 
 
 class Panel(Picture):
-    """A ball in L lights, by their names: the pixels of all lights, one light after the other."""
+    """A ball in L named lights: the pixels of all lights, one light after the other."""
 
     def __init__(self, names: tuple[str, ...], pairs: Pairs, sums: Sequence[scipy.sparse.csr_array]) -> None:
         """Join the pixels of each light, as sums over the same pairs."""
@@ -46,7 +46,7 @@ class Panel(Picture):
     def signature(self) -> int:
         """A 48-bit hash of lights, pixels and directions; calibrations with another hash are out of date.
 
-        It hashes rounded moments, which do not depend on the last digits of a processor's functions.
+        It hashes rounded moments, which do not depend on rounding differences between processors.
         """
         digest = hashlib.sha256(repr((self.names, self.counts.tolist())).encode())
         first = np.concatenate([[0], np.cumsum(self.counts)[:-1]])
@@ -58,11 +58,11 @@ class Panel(Picture):
 
     @property
     def pixel_weights(self) -> Array:
-        """Weights (K,) of all pixels, of mean 1, by which every light counts equally."""
+        """Weights (K,) of all pixels, with mean 1, that give every light the same total weight."""
         return np.repeat(self.counts.mean() / self.counts, self.counts)
 
     def every(self, step: int) -> tuple[Panel, Indices]:
-        """Return every `step`-th pixel of each light, and the indices of those."""
+        """Return a panel of every `step`-th pixel of each light, and the indices of these pixels."""
         lights = np.split(np.arange(self.counts.sum()), np.cumsum(self.counts)[:-1])
         chosen = [light[::step] for light in lights]
         used = np.unique(self.sums[np.concatenate(chosen)].indices)
@@ -114,7 +114,7 @@ def panel(names: tuple[str, ...], *lit: int, sun_pixels: int = _SUN_PIXELS) -> P
 
 
 def fitted(*lit: int, sun_pixels: int = _SUN_PIXELS) -> Panel:
-    """Return the panel that fits minimise errors in."""
+    """Return the panel of the lights of fits."""
     return panel(FITTED, *lit, sun_pixels=sun_pixels)
 
 
@@ -124,5 +124,5 @@ def sun(degrees: float) -> Picture:
 
 
 def judged() -> Panel:
-    """Return the panel that errors are measured in."""
+    """Return the panel of the five test lights, in which errors are measured."""
     return panel(JUDGED)

@@ -1,4 +1,4 @@
-"""Pictures from files, as linear sRGB: one reader for photographs, lights and pictures that are compared."""
+"""Reads picture files as linear sRGB: photographs, lights, and pictures to compare."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from manifold.core.records import Array, Mask
 RAW_SUFFIXES = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw")
 """Suffixes of cameras' raw files, which need rawpy."""
 SUFFIXES = (".exr", ".hdr", ".pfm", ".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp", ".webp")
-"""Suffixes of readable files; a file's content decides about its format."""
+"""Suffixes of readable files; the format is determined from the content."""
 
 _EXPECTED = "EXR, HDR, PFM, TIFF, PNG, JPEG, BMP or WebP"
 _LINEAR = ("openexr", "hdr", "pnm", "tiff")  # unless a profile says otherwise
@@ -40,9 +40,9 @@ class Image:
 
     Attributes:
         values: linear sRGB, shape (H, W, 3), float32; transparent pixels have the values of the file.
-        is_opaque: pixels that are not transparent, shape (H, W).
-        is_clipped: pixels that may have been brighter than their values, shape (H, W): integers at their largest
-            value, or floats if four or more share the largest one.
+        is_opaque: whether each pixel is not transparent, shape (H, W).
+        is_clipped: whether each pixel may have been brighter than its value, shape (H, W): integers at their largest
+            value, or floats if at least four pixels have the largest value.
         is_encoded: whether the file has display values, which were decoded as sRGB.
         is_grey: whether its channels are equal.
         notes: assumptions about the file, in sentences.
@@ -62,10 +62,10 @@ def read_picture(path: Path) -> Image:
 
     EXR, HDR, PFM and TIFF are linear; other formats, and TIFF with a profile of sRGB, are decoded as sRGB.
 
-    A PNG file of 16 bits that names no colour space is also read as linear, as in photometric-stereo data sets.
-    LibRaw develops raw files of cameras: linear, in the primaries of sRGB, with the white balance of the camera.
-    The result is turned upright by the orientation that the file states. In EXR and TIFF, layers and channels other
-    than red, green, blue or grey, and alpha, are ignored.
+    A 16-bit PNG file that names no colour space is also read as linear, as in photometric-stereo data sets. LibRaw
+    develops raw files of cameras, in linear values, with the primaries of sRGB and the camera's white balance. The
+    picture is turned upright if the file states its orientation. In EXR and TIFF, only the channels red, green, blue
+    or grey, and alpha are read.
     """
     if not path.is_file():
         raise MissingFileError(f"{path}: no such file; name a picture (.exr, .hdr, .tif, .png, .jpg)")
@@ -111,9 +111,9 @@ def _read(path: Path, kind: str) -> Image:
     )
     notes: tuple[str, ...] = ()
     if is_encoded:
-        notes = (f"{path.name}: taken as sRGB; tone curves and colour settings of a camera are not undone",)
+        notes = (f"{path.name}: read as sRGB; the camera's tone curve and colour settings are not reversed",)
     elif kind == "png":
-        notes = (f"{path.name}: 16 bits, and no colour space named: taken as linear",)
+        notes = (f"{path.name}: 16 bits without a colour space: read as linear",)
     return Image(
         path,
         _upright(values, turn),
@@ -167,7 +167,9 @@ def _kind(path: Path) -> str:
 
 
 def _unsupported(path: Path, found: str) -> FileFormatError:
-    return FileFormatError(f"{path}: found {found}, expected one RGB or grey picture in sRGB; save it so")
+    return FileFormatError(
+        f"{path}: found {found}, expected one RGB or grey picture in sRGB; save it in that form"
+    )
 
 
 def _unreadable(path: Path, reason: str) -> FileFormatError:

@@ -1,4 +1,4 @@
-"""Spectra of reflectance, measured ones by name, from files, and of a given colour; refractive indices of metals."""
+"""Provides reflectance spectra by name, from files, and of a given colour, and refractive indices of metals."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _VISIBLE_NM = (400.0, 700.0)
 def diffuse_reflectance_names() -> tuple[str, ...]:
     """Return the names of all spectra of `diffuse_reflectance`, as `set/name`.
 
-    Sets: `ohta`, `babel` and `iso17321` (the 24 patches of a ColorChecker, three measurements), `pmc` (skin,
+    The sets are `ohta`, `babel` and `iso17321` (the 24 patches of a ColorChecker, three measurements), `pmc` (skin,
     fruit, grass and other objects of daily life), `tcs` (CIE test colour samples), `vs` (NIST colour
     quality samples).
     """
@@ -32,10 +32,10 @@ def diffuse_reflectance_names() -> tuple[str, ...]:
 def diffuse_reflectance(name: str, wavelengths_nm: Array) -> Array:
     """Return a measured diffuse reflectance by its name, in [0, 1], in the shape of `wavelengths_nm`.
 
-    Interpolated linearly and held constant outside the measured range, which is 380 to 730 nm (`babel`), 380 to 780
-    (`ohta`, `iso17321`), 400 to 700 (`pmc`), or 360 to 830 (`tcs`, `vs`): the ultraviolet and infrared bands of RGL
-    files are continuations, not measurements. A name is one of `diffuse_reflectance_names()`, or its part after the
-    slash, which means the first set that has it (`dark skin` is `ohta/dark skin`).
+    The spectrum is interpolated linearly and constant outside the measured range, which is 380 to 730 nm (`babel`),
+    380 to 780 (`ohta`, `iso17321`), 400 to 700 (`pmc`), or 360 to 830 (`tcs`, `vs`): the ultraviolet and infrared
+    bands of RGL files are continuations, not measurements. A name is one of `diffuse_reflectance_names()`, or its
+    part after the slash, which means the first set that has it (`dark skin` is `ohta/dark skin`).
     Source: colour-science's `SDS_COLOURCHECKERS`, `SDS_TCS`, `SDS_VS`.
     """
     known = _reflectances()
@@ -59,7 +59,7 @@ def srgb_reflectance(display: Array, bands: Bands) -> Array:
 
     Raises:
         ShapeError: the colour is not three values in [0, 1].
-    Source: as `srgb_spectra`.
+    Source: see `srgb_spectra`.
     """
     try:
         display = np.asarray(display, dtype=np.float64)
@@ -230,28 +230,30 @@ def _read_spd(path: Path) -> tuple[Array, Array]:
 
 
 NODES_NM = (460.0, 540.0, 605.0)
-"""Wavelengths at which one of blue, green and red has all the weight.
+"""Wavelengths in nm at which blue, green or red has the full weight.
 
-Between them two share it, so that the weights of a wavelength sum to 1.
+Between them the weight is shared linearly by two.
 """
 
 _LEAST = 1e-3  # least change of a weight, so that spectra stay positive
 
 
 def weights_at(wavelengths_nm: Array) -> Array:
-    """Return the shares of red, green and blue at wavelengths, piecewise linear, with sum 1, shape (W, 3)."""
+    """Return the weights of red, green and blue at wavelengths, shape (W, 3).
+
+    They are piecewise linear and sum to 1.
+    """
     blue, green, red = (np.interp(wavelengths_nm, NODES_NM, row) for row in np.eye(3))
     return np.stack([red, green, blue], axis=-1)
 
 
 def spectral_changes(ratios: Array, mean: Array, bands: Bands) -> Array:
-    """Return the changes of red, green and blue weights, (..., 3), above 0, that give points their colours.
+    """Return the factors (..., 3) of the red, green and blue weights, above 0, that give points their colours.
 
-    Colours are ratios of linear sRGB over the mean's, (..., 3), above 0; the mean has a spectrum (B,).
-
-    The spectrum of a point is that of the mean times `weights_at(wavelengths) @ changes`: smooth, never negative, and
-    that of the mean where all ratios are 1. Its linear sRGB has the given ratios to the mean's, except for points so
-    saturated that a weight would be negative. For RGB bands the ratios are the changes.
+    `ratios` (..., 3), above 0, are the linear sRGB colours of the points divided by that of the mean, whose spectrum
+    is `mean` (B,). The spectrum of a point is the mean spectrum times `weights_at(wavelengths) @ changes`, which is
+    smooth and never negative. Its linear sRGB has the given ratios, except for points so saturated that a factor
+    would be negative. For RGB bands the factors equal the ratios.
     """
     if bands.is_rgb:
         return ratios

@@ -1,4 +1,4 @@
-"""Conversion between files of BRDFs and of instruments."""
+"""Converts files of BRDFs and of instruments into other formats."""
 
 import lazy_loader
 

@@ -1,6 +1,6 @@
-"""Contents of a file, a library or a model, as rows and tables for `manifold info`.
+"""Lists the contents of a file, a library or a model, as rows and tables for `manifold info`.
 
-Modules that only one of them needs (zarr, models) are imported on first use.
+Modules that only one kind needs (zarr, models) are imported at first use.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ if TYPE_CHECKING:
 _MOST_LISTED = 40  # samples, or cells, one by one
 
 Table = tuple[Sequence[str], Sequence[Sequence[object]]]
-"""Column heads, and rows."""
+"""Column headings and rows of a table."""
 
 
 def inspect_instrument_file(
     path: Path, format_name: str
 ) -> tuple[dict[str, object], dict[str, Any], list[Table]]:
-    """Return labels and values of a file of a known format, their JSON, and tables (heads, rows) of its samples."""
+    """Return the labels and values of an instrument's file, their JSON, and tables (headings, rows) of its samples."""
     records = registry.read_all(path)
     first = records[0]
     rows: dict[str, object] = {"format": format_name, "instrument": first.instrument}
@@ -194,7 +194,7 @@ def inspect(
 ) -> Inspection:
     """Inspect a file of a BRDF or an instrument, a library, a model or the JSON of a fit, recognised by content.
 
-    `library` is the place of the model's library if it was moved. `verify` reads a library and compares all hashes.
+    `library` is the path of the model's library, if it was moved. `verify` reads a library and compares all hashes.
     """
     kind = kind_of(path)
     if kind is Kind.NOTHING:
@@ -217,7 +217,7 @@ def inspect(
 
 
 def inspect_export(path: Path) -> Inspection | None:
-    """Inspect a JSON file that `export` wrote for an engine; None for other files."""
+    """Inspect a JSON file that `manifold export` wrote for an engine; return None for other files."""
     content = read_export(path)
     if content is None:
         return None

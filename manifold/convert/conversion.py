@@ -1,4 +1,4 @@
-"""The conversion of `manifold convert` between files of BRDFs and of instruments, and its error."""
+"""Implements `manifold convert` between files of BRDFs and of instruments, and measures the conversion error."""
 
 from __future__ import annotations
 
@@ -53,10 +53,10 @@ class Conversion(Result):
     """The result of a conversion.
 
     Attributes:
-        files: the files that were read, or the place on the map.
-        source, target: what was read, and the format that was written, in words.
-        nodes: number of nodes of the input at which the written file was read back and compared.
-        median, percentile_95: of the relative error `|f* - f| / |f|` over nodes and bands.
+        files: the input files, or the place on the map.
+        source, target: texts that name the input and the format of the output.
+        nodes: number of nodes of the input at which the written file was compared with it.
+        median, percentile_95: median and 95th percentile of the relative error `|f* - f| / |f|` over nodes and bands.
     """
 
     name: str = field(metadata=entry(row="material"))
@@ -77,7 +77,7 @@ class Conversion(Result):
     @property
     @derived(row="error, cube root", words=lambda result: percent(result.cube_root_error, 2), json=False)
     def cube_root_error(self) -> float:
-        """See `Errors`."""
+        """The cube-root error of the conversion, see `Errors`."""
         return self.errors.cube_root
 
     median: float = field(
@@ -127,7 +127,7 @@ def convert(
     Raises:
         UsageError: the format is unknown, the output cannot be written, readings do not make a BRDF, or files are of
             different samples.
-        FileFormatError: a file is not what it should be.
+        FileFormatError: a file has an unknown format, or is damaged.
         BandMismatchError: the correction was learned in other bands.
     """
     target = target_of(output, to)
@@ -135,7 +135,7 @@ def convert(
     name = str(paths) if isinstance(paths, PlaceSource) else str(paths[0])
     files = () if isinstance(paths, PlaceSource) else paths
     if any(path.exists() and output.exists() and path.samefile(output) for path in files):
-        raise UsageError(f"{output}: is the file to be converted; name another output")
+        raise UsageError(f"{output}: is also the input; name another output")
     learned = None if correction is None else read_correction(correction)
     predicted: DiagnosedPrediction | None = None
     opened: Callable[..., ConversionSource] = partial(
@@ -144,7 +144,7 @@ def convert(
     if isinstance(paths, PlaceSource):
         if sample is not None or learned is not None:
             raise UsageError(
-                f"{paths}: a prediction, expected an instrument's readings to correct or to choose from"
+                f"{paths}: is a prediction, to which --sample and --correction do not apply; leave them out"
             )
         predicted, file = _predicted(paths)
         opened = partial(source_of_prediction, predicted.brdf, file)
@@ -233,7 +233,7 @@ def _gaps(source: ConversionSource) -> list[str]:
         ]
     if len(source.nodes) < _FEW * theta.size:
         return [
-            f"{len(source.nodes)} readings, interpolated between; `manifold complete` takes a library, too"
+            f"{len(source.nodes)} readings were interpolated; `manifold complete` also uses a library of materials"
         ]
     return []
 

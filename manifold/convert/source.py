@@ -1,4 +1,4 @@
-"""Inputs of `manifold convert`: a file as a BRDF, and as values at its own nodes."""
+"""Opens inputs of `manifold convert` as a BRDF, and as values at their own nodes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,10 @@ from manifold.model.output_file import EXPECTED_ERROR
 from manifold.model.prediction import ClippedBRDF
 
 MOST_NODES = 100_000
-"""Nodes at which the error of a conversion is measured; an even choice where a file has more."""
+"""Largest number of nodes at which the error of a conversion is measured.
+
+Of more nodes, evenly spaced ones are used.
+"""
 _LUMINANCE = Bands((550.0,))
 
 
@@ -42,7 +45,7 @@ class ConversionSource:
         interpolated: the BRDF that interpolates the nodes, or the error that says why these readings cannot be
             interpolated.
         theta_i_rad: the incidences of the file, increasing; empty if its nodes have no common incidences.
-        is_readings: whether the nodes are readings, and all that the file holds.
+        is_readings: whether the file holds only readings, which are the nodes.
     """
 
     nodes: Readings
@@ -61,7 +64,7 @@ class ConversionSource:
 
     @property
     def brdf(self) -> BRDF:
-        """The BRDF. Raises UsageError where readings do not make one."""
+        """The BRDF. Raises UsageError if the readings cannot be interpolated to a BRDF."""
         if isinstance(self.interpolated, UsageError):
             raise self.interpolated
         return self.interpolated
@@ -117,9 +120,9 @@ def open_source(
 ) -> ConversionSource:
     """Read the input of a conversion: one file, or the files of one specimen (pab-opto: one per incidence).
 
-    Colours of readings are corrected before anything else; in linear sRGB, RGL files are converted before they are
-    interpolated, which is quicker; merged files are of one sample although they name it differently; `unit` is of
-    values in files that say none, see `registry.read`.
+    `correction` is applied to the colours of readings first. With `rgb`, RGL files are converted to linear sRGB
+    before they are interpolated, which is faster. With `merge`, the files are treated as one specimen even if they
+    name it differently. `unit` is the unit of values in files that name none, see `registry.read`.
     """
     of_rgl = [path for path in paths if kind_of(path) is Kind.RGL]
     if of_rgl and len(paths) > 1:
@@ -127,7 +130,7 @@ def open_source(
     if of_rgl and unit is not None:
         raise UsageError(f"{paths[0]}: an RGL file states its unit; leave --unit {unit} out")
     if of_rgl and sample is not None:
-        raise UsageError(f"{paths[0]}: an RGL file holds one material; leave the name of the sample out")
+        raise UsageError(f"{paths[0]}: an RGL file holds one material; leave --sample out")
     record: BsdfFile | registry.Record
     if of_rgl:
         record = read_bsdf(paths[0])
@@ -176,7 +179,7 @@ def in_luminance(source: ConversionSource) -> ConversionSource:
 
 
 def with_estimated_spectra(source: ConversionSource) -> ConversionSource:
-    """Return a source in three narrow bands as one of spectra, with a note; others unchanged."""
+    """Return a source in three narrow bands converted to spectra, with a note; other sources are returned unchanged."""
     if not is_narrow(source.nodes.bands):
         return source
     brdf = source.interpolated

@@ -1,4 +1,4 @@
-"""BRDFs that interpolate dense tables or a goniometer's readings, exactly at their nodes."""
+"""BRDFs that interpolate dense tables or a goniometer's readings, and are exact at the nodes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _LEAST_ALPHA = 0.05  # roughness of the masking, without which noise grows as 1 
 
 
 class TabulatedBRDF(AnalyticBRDF):
-    """Base class of interpolated tables: 0 below the horizon, and sampled by the cosine."""
+    """Base class of interpolated tables, which are 0 below the horizon and sampled in proportion to the cosine."""
 
     _isotropic: bool
 
@@ -45,7 +45,7 @@ class TabulatedBRDF(AnalyticBRDF):
 
 
 class DenseBRDF(TabulatedBRDF):
-    """A dense table, linear between its nodes; unmeasured nodes have the value of the nearest measured one."""
+    """A dense table interpolated linearly; unmeasured nodes have the value of the nearest measured node."""
 
     def __init__(self, table: DenseTable) -> None:
         """Take a dense table and fill its unmeasured nodes."""
@@ -104,7 +104,7 @@ class ReadingsBRDF(TabulatedBRDF):
     Between two incidences, values are interpolated at the same half vector, so that highlights move with the
     incidence and do not appear twice. The part above the diffuse level, including noise, is scaled like D F G / (4
     cos cos) of microfacets with the masking G of a smooth surface. Incidences beyond the last measured one are
-    evaluated with wi and wo exchanged.
+    evaluated with wi and wo swapped.
     """
 
     def __init__(self, readings: Readings) -> None:
@@ -179,7 +179,7 @@ class _Slice:
 
     def __init__(self, place: Array, values: Array, what: str) -> None:
         """Triangulate places (n, 2) with values (n, B). Raises UsageError where that is impossible."""
-        remedy = "do not make a BRDF by themselves; complete them through a library (`manifold complete`)"
+        remedy = "do not determine a BRDF; complete them with a library (`manifold complete`)"
         if len(place) < _LEAST_PER_INCIDENCE:
             raise UsageError(f"{what}, {len(place)} at one incidence, {remedy}")
         try:

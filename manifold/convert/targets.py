@@ -1,4 +1,4 @@
-"""Targets of `manifold convert`: a BRDF sampled at the nodes of each format."""
+"""Writes the formats of `manifold convert`, by sampling a BRDF at the nodes of each format."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _USUAL_INCIDENCES = np.deg2rad([0, 10, 20, 30, 40, 50, 60, 70, 80, 85])
 
 
 Holds = Literal["any", "RGB", "RGB or one", "one", "wavelengths"]
-"""The bands that a format holds."""
+"""The kinds of bands that a format can hold."""
 
 
 Write = Callable[[Path, "ConversionSource", "Options"], list[str]]
@@ -66,7 +66,7 @@ class WrittenFormat(NamedTuple):
     keeps: tuple[str, ...] = ()
 
     def left_out(self, readings: Readings) -> list[str]:
-        """Return a note on data beside the values that the format cannot hold."""
+        """Return a note about data of readings, other than values, that the format cannot hold."""
         said = {
             "weights": np.ptp(readings.weights) > 0.0,
             "uncertainties": np.any(readings.scatter > 0.0),
@@ -74,7 +74,7 @@ class WrittenFormat(NamedTuple):
             "texture": readings.texture,
         }
         lost = [name for name, is_said in said.items() if is_said and name not in self.keeps]
-        return [f"left out, as {self.title} has no place for them: {', '.join(lost)}"] if lost else []
+        return [f"left out, because {self.title} cannot store them: {', '.join(lost)}"] if lost else []
 
 
 class Options(NamedTuple):

@@ -1,4 +1,4 @@
-"""Basics of every subject: errors, records, names, files on disk, work shared among processes, directions, mappings."""
+"""Basics for all other folders: errors, records, names, files, parallel work, directions and mappings."""
 
 import lazy_loader
 

@@ -1,6 +1,6 @@
-"""The workers of a Dask scheduler, on machines that share a file system.
+"""Uses the workers of a Dask scheduler, on machines that share a file system.
 
-Scheduler and workers import little of this package: tasks travel as bytes, which the worker that runs them unpickles.
+Tasks are sent as bytes, which only the worker unpickles, so that the scheduler imports little of this package.
 """
 
 from __future__ import annotations
@@ -45,10 +45,8 @@ _one_at_a_time = threading.Lock()
 def workers(address: str) -> Iterator[Executor]:
     """Yield the workers of a Dask scheduler, such as `tcp://10.0.0.1:8786`, for `work.run`.
 
-    Workers that join later take part.
-
-    Dask runs the tasks of lost workers again. Tasks run in the folder of this process, in which relative paths mean the
-    same there.
+    Workers that join later are used as well, and Dask repeats the tasks of lost workers. Tasks run in the working
+    folder of this process, so that relative paths have the same meaning.
     """
     require("distributed")
     from distributed import KilledWorker
@@ -58,8 +56,8 @@ def workers(address: str) -> Iterator[Executor]:
             yield _Workers(client)
         except KilledWorker:
             raise ManifoldError(
-                f"{address}: several workers were lost at one task (out of memory?); give them more, and run again: "
-                "finished results are kept"
+                f"{address}: several workers ended during one task (out of memory?); give them more memory, "
+                "and run again: finished results are kept"
             ) from None
         except CancelledError:
             raise ManifoldError(

@@ -19,11 +19,12 @@ GONIOMETER = 0.03
 SURFACE_TARGETS = ("gltf", "openpbr", "usd", "blender")
 """Targets of exports that a textured material is written for."""
 FINE_INCIDENCES = 24
-"""Incidences of completions: eight change colours at the readings by up to 2.3 CIEDE2000, 24 by 0.3."""
+"""Number of incidences in files of completions; with eight, colours at the readings change by up to 2.3 CIEDE2000, with
+24 by 0.3."""
 CONVERTED_RESOLUTION = 64
 """Nodes per axis of the outgoing grid of a converted file."""
 COMPACT_TOLERANCE, SHADER_TOLERANCE = 0.2, 0.3
 """Mean CIEDE2000 of the ball that a compact material, or a shader's table, may differ by."""
 
 TINY = 1e-9
-"""Smallest divisor, and largest share that counts as none: far below any value that can be seen or measured."""
+"""Smallest divisor, and largest share that is treated as 0; far below any visible or measurable value."""

@@ -13,7 +13,7 @@ NEAR_MIRROR_DEG = 10.0
 """Angle around a mirror direction within which errors count as those of the highlight."""
 
 HORIZON = np.deg2rad(89.9)
-"""Elevation in radians at which the limit at the horizon is evaluated."""
+"""Elevation in radians at which limits at the horizon are evaluated."""
 
 
 def u_to_theta(u: Array) -> Array:
@@ -44,7 +44,7 @@ def normalize(w: Array) -> Array:
 
 
 def half_vector(wi: Array, wo: Array) -> Array:
-    """Return the unit half vectors (..., 3)."""
+    """Return the unit half vectors (..., 3) of wi and wo (..., 3)."""
     return normalize(wi + wo)
 
 
@@ -79,8 +79,8 @@ def gauss_legendre(n: int) -> tuple[Array, Array]:
 def hemisphere_quadrature(n_theta: int, n_phi: int) -> tuple[Array, Array]:
     """Return the nodes (n_theta * n_phi, 3) and solid-angle weights in sr over the upper hemisphere.
 
-    Gauss-Legendre in the squared sine of the elevation, which absorbs one cosine, times a uniform azimuth:
-    sum(weights * cos(theta)) is pi to rounding.
+    The nodes are Gauss-Legendre nodes in the squared sine of the elevation and uniform in azimuth;
+    `sum(weights * cos(theta))` is pi up to rounding.
     """
     x, wx = gauss_legendre(n_theta)
     s2 = 0.5 * (x + 1.0)  # sin^2 theta in (0, 1); d omega cos theta = 0.5 d(s2) d phi
@@ -96,7 +96,8 @@ def from_rusinkiewicz(
 ) -> tuple[Array, Array]:
     """Return the direction pairs with half and difference angles in radians, which broadcast: two arrays (..., 3).
 
-    The half vector is `(theta_h, phi_h)`; wi is `(theta_d, phi_d)` in its frame; wo mirrors wi at it.
+    The half vector is `(theta_h, phi_h)`; wi is `(theta_d, phi_d)` in its frame; wo is wi mirrored at the half
+    vector.
 
     Source: Rusinkiewicz 1998, section 2.
     """
@@ -115,7 +116,7 @@ def from_rusinkiewicz(
 def to_rusinkiewicz(wi: Array, wo: Array) -> tuple[Array, Array, Array, Array]:
     """Return `theta_h, theta_d, phi_d, phi_h` in radians of direction pairs (..., 3); azimuths in (-pi, pi].
 
-    Azimuths are arbitrary where their elevation is 0. Opposite directions have no half vector and give NaN.
+    An azimuth is arbitrary if its elevation is 0. Opposite directions have no half vector and give NaN.
 
     Source: Rusinkiewicz 1998, section 2.
     """
@@ -127,7 +128,7 @@ def to_rusinkiewicz(wi: Array, wo: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def angles_from_mirror(wi: Array, wo: Array) -> Array:
-    """Return elevations of wi and wo (P, 3), and the azimuth between wo and the mirror direction; degrees, (P, 3)."""
+    """Return elevations of wi and wo (P, 3), and the azimuth of wo from the mirror direction, in degrees, (P, 3)."""
     theta = [np.degrees(np.arccos(np.clip(w[:, 2], -1.0, 1.0))) for w in (wi, wo)]
     phi = [np.degrees(np.arctan2(w[:, 1], w[:, 0])) for w in (wi, wo)]
     return np.column_stack([*theta, np.abs((phi[1] - phi[0]) % 360.0 - 180.0)])

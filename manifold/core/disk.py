@@ -1,4 +1,4 @@
-"""Files: read whole with a limit and clear errors, written beside their name and renamed into place."""
+"""Reads files with size limits and clear errors, and writes them under a temporary name that is renamed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from manifold.core.errors import FileAccessError, FileFormatError, ManifoldError
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside `path`, and rename it to `path` when the block ends without an error.
 
-    The target of a symbolic link is replaced, not the link; permissions are kept.
+    For a symbolic link, its target is replaced; permissions are kept.
     """
     require_writable(path)
     target = Path(os.path.realpath(path))
@@ -40,7 +40,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def require_writable(path: Path) -> None:
-    """Check before the work that a file can be written."""
+    """Raise UsageError unless a file can be written; call it before the work."""
     target = os.path.realpath(path)
     folder = os.path.dirname(target)
     if os.path.isdir(target):
@@ -59,12 +59,12 @@ def require_writable(path: Path) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file in UTF-8; bytes of file names that are none stand there as escapes."""
+    """Write a text file in UTF-8, atomically; bytes of file names that are not valid UTF-8 are escaped."""
     write_bytes(path, text.encode(errors="backslashreplace"))
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file."""
+    """Write a file, atomically."""
     with replacing(path) as partial:
         partial.write_bytes(content)
 
@@ -74,13 +74,13 @@ def _cannot_write(path: Path, reason: str) -> FileAccessError:
 
 
 def require_lockable(path: Path) -> None:
-    """Raise UsageError where a lock is something other than a regular file: opening a pipe waits for ever."""
+    """Raise UsageError if a lock is not a regular file, because opening a pipe would block."""
     if os.path.lexists(path) and not os.path.isfile(path):
         raise UsageError(f"{path}: not a regular file, expected a lock; remove it")
 
 
 MOST_TEXT = 16 << 20
-"""Bytes of a text: scenes, fits and spectra have kilobytes."""
+"""Largest size of a text file in bytes; scenes, fits and spectra have kilobytes."""
 
 
 def read_bytes(path: Path, *, advice: str, most: int) -> bytes:
@@ -125,7 +125,7 @@ def read_json(path: Path, expected: str) -> Any:
 
 def refuse_constant(name: str) -> None:
     """Refuse NaN and infinities by a ValueError."""
-    raise ValueError(f"{name} is not a number of JSON")
+    raise ValueError(f"{name} is not a valid number in JSON")
 
 
 def begins_with(path: Path, *magic: bytes) -> bool:

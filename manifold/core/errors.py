@@ -1,7 +1,7 @@
-"""The exceptions of the package: one base class, messages of one line.
+"""The exceptions of the package, which share one base class.
 
-A message says where, what was found, what was expected, and what to do. Each class also derives from the built-in
-exception that Python raises in such a case:
+A message is one line that says where, what was found, what was expected, and what to do. Each class also derives from
+the built-in exception that Python raises in such a case:
 
 | class | also | raised where |
 |---|---|---|
@@ -33,7 +33,7 @@ class ManifoldError(Exception):
 
 
 class FileFormatError(ManifoldError, ValueError):
-    """The content of a file does not fit its name."""
+    """The content of a file is not in the format that its name promises."""
 
 
 class ShapeError(ManifoldError, ValueError):
@@ -41,7 +41,7 @@ class ShapeError(ManifoldError, ValueError):
 
 
 class BandMismatchError(ManifoldError, ValueError):
-    """Two things with different bands were to be used together."""
+    """Two objects that must have the same bands have different ones."""
 
 
 class LibraryError(ManifoldError, ValueError):
@@ -49,7 +49,7 @@ class LibraryError(ManifoldError, ValueError):
 
 
 class MissingLibraryError(LibraryError, FileNotFoundError):
-    """There is no such library."""
+    """A library does not exist."""
 
 
 class ModelError(ManifoldError, ValueError):
@@ -57,11 +57,11 @@ class ModelError(ManifoldError, ValueError):
 
 
 class MissingModelError(ModelError, FileNotFoundError):
-    """There is no such model."""
+    """A model does not exist."""
 
 
 class FetchError(ManifoldError, OSError):
-    """A download failed, or differed from its announcement."""
+    """A download failed, or its size or hash is wrong."""
 
 
 class NumericalError(ManifoldError, ArithmeticError):
@@ -77,11 +77,11 @@ class MissingPackageError(ManifoldError, ImportError):
 
 
 class UsageError(ManifoldError, ValueError):
-    """A value given by the user cannot be used."""
+    """A value given by the user is invalid."""
 
 
 class MissingFileError(UsageError, FileNotFoundError):
-    """There is no such file."""
+    """A file does not exist."""
 
 
 class FileAccessError(UsageError, OSError):
@@ -89,7 +89,7 @@ class FileAccessError(UsageError, OSError):
 
 
 class UnknownNameError(UsageError, KeyError):
-    """Nothing has such a name."""
+    """A name is unknown."""
 
 
 class LatentError(UsageError, ShapeError):

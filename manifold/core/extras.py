@@ -18,16 +18,16 @@ EXTRAS = {
     "remote": ("fsspec", "aiohttp"),
     "frames": ("pandas", "xarray"),
 }
-"""Modules by the extra of `pip install 'brdf-manifold[EXTRA]'` that installs them; errors name the first that does."""
+"""Modules that each extra of `pip install 'brdf-manifold[EXTRA]'` installs; errors name the first such extra."""
 
 _DISTRIBUTIONS = {"PIL": "pillow", "flip_evaluator": "flip-evaluator"}
 
 
 def require(module: str) -> Any:
-    """Import and return a module.
+    """Import and return an optional module.
 
     Raises:
-        MissingPackageError: it is not installed; the message names the extra.
+        MissingPackageError: the module is not installed; the message names the extra.
     """
     try:
         return import_module(module)
@@ -36,7 +36,7 @@ def require(module: str) -> Any:
 
 
 def missing(error: ModuleNotFoundError) -> MissingPackageError | None:
-    """Return the error that names the extra of a module that was not found; None if no extra has it."""
+    """Return the error that names the extra for a module that was not found; None if no extra installs it."""
     package = (error.name or "").partition(".")[0]
     for extra, modules in EXTRAS.items():
         if package in modules:
@@ -46,7 +46,7 @@ def missing(error: ModuleNotFoundError) -> MissingPackageError | None:
 
 
 def versions() -> dict[str, dict[str, str | None]]:
-    """Return the installed version, None if it is missing, of every package by extra."""
+    """Return the installed version of every optional package by extra; None for a missing package."""
     return {
         extra: {name: _version(name) for name in (_DISTRIBUTIONS.get(module, module) for module in modules)}
         for extra, modules in EXTRAS.items()

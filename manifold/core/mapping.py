@@ -1,16 +1,16 @@
 """Mappings T of BRDF values under which materials are combined: `T^-1(sum_i v_i T(f_i))`.
 
-BRDF values span six decades, and a sum over raw values sees only the highlights; a mapping compresses them.
-All mappings follow the same rules:
+BRDF values span six decades, and highlights dominate sums over raw values; a mapping compresses the range. All
+mappings follow the same rules:
 
 - values keep their shape, a floating dtype is kept, and NaN (a masked cell) stays NaN both ways;
 - an exact zero maps to a finite number and back to exactly zero;
-- negative values (measurement noise) keep their sign under `identity` and `cube-root`, and count as zero
+- negative values (measurement noise) keep their sign under `identity` and `cube-root`, and are treated as zero
   under the logarithms, whose inverse is never negative;
 - they compute with the functions of `xp`, NumPy or Dr.Jit, so that the Mitsuba plugin evaluates them too.
 
-`inverse(forward(f))` is f only to rounding. Where a prediction has to be a measured value bit for bit, take
-that value instead of mapping it back and forth.
+`inverse(forward(f))` equals f only up to rounding. If a prediction must equal a measured value bit for bit, use that
+value instead of mapping it back and forth.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ from manifold.core.records import Array
 class ValueMapping(Protocol):
     """The interface of a mapping T and its inverse.
 
-    Values are in 1/sr. Weights are `cos(theta_i) cos(theta_o)`, for the mappings that weight by them, and broadcast
-    against the values: (..., 1) for values (..., B). None is a weight of 1. `xp` is the array library, with `exp`,
-    `log`, `cbrt`, `sqrt` and `maximum`.
+    Values are in 1/sr. `cosine_weight` is `cos(theta_i) cos(theta_o)`, which some mappings use; it broadcasts against
+    the values, (..., 1) for values (..., B), and None means 1. `xp` is the array library that provides `exp`, `log`,
+    `cbrt`, `sqrt` and `maximum`.
     """
 
     @property
     def name(self) -> str:
-        """The name under which `MAPPINGS` has it."""
+        """The mapping's name in `MAPPINGS`."""
 
     def forward(self, values: Any, cosine_weight: Any = None, xp: Any = np) -> Any:
         """Apply T to BRDF values, element by element."""
 
     def inverse(self, mapped: Any, cosine_weight: Any = None, xp: Any = np) -> Any:
-        """Apply T^-1 to mapped values, with the weight that `forward` had."""
+        """Apply T^-1 to mapped values, with the same weight as in `forward`."""
 
     def slope(self, values: Array, cosine_weight: Array | None = None) -> Array:
-        """Return the derivative of T^-1 at the mapped values that give these values, in NumPy."""
+        """Return the derivative of T^-1 at T(values), in NumPy."""
 
 
 @dataclass(frozen=True)
@@ -93,14 +93,14 @@ class Log:
     """`T(f) = ln((f + epsilon) / epsilon)`, which is 0 at 0.
 
     Attributes:
-        epsilon: in 1/sr, positive; differences between values far below it do not count.
+        epsilon: positive value in 1/sr; differences between values far below it have little weight.
     """
 
     epsilon: float = 1e-3
     name = "log"
 
     def forward(self, values: Any, cosine_weight: Any = None, xp: Any = np) -> Any:
-        """Return the logarithm; negative values count as 0."""
+        """Return the logarithm; negative values are treated as 0."""
         return _log1p(xp.maximum(values, 0.0) / self.epsilon, xp)
 
     def inverse(self, mapped: Any, cosine_weight: Any = None, xp: Any = np) -> Any:
@@ -108,7 +108,7 @@ class Log:
         return _expm1(xp.maximum(mapped, 0.0), xp) * self.epsilon
 
     def slope(self, values: Array, cosine_weight: Array | None = None) -> Array:
-        """Return `f + epsilon`, also at 0, where the inverse stops, so that a search can leave 0."""
+        """Return `f + epsilon`, also at 0, where the inverse is constant, so that a search can leave 0."""
         return values + self.epsilon
 
 
@@ -116,13 +116,13 @@ class Log:
 class LogRelative:
     """`T(f) = ln((f w + epsilon) / epsilon)` with `w = max(cos(theta_i) cos(theta_o), floor)`.
 
-    The cosines tame grazing angles, where values are large and count for little. The publication divides by the median
-    material besides, which only shifts T: it cancels in every combination whose weights sum to 1 and in every centred
-    Gram matrix.
+    The cosines reduce the weight of grazing angles, where values are large but matter little. The publication also
+    divides by the median material, which only shifts T and cancels in every combination whose weights sum to 1 and in
+    every centred Gram matrix.
 
     Attributes:
-        epsilon: in 1/sr, positive.
-        floor: least cosine weight, positive.
+        epsilon: positive value in 1/sr.
+        floor: smallest cosine weight, positive.
     Source: Nielsen, Jensen & Ramamoorthi 2015, eq. 2.
     """
 
@@ -131,7 +131,7 @@ class LogRelative:
     name = "log-relative"
 
     def forward(self, values: Any, cosine_weight: Any = None, xp: Any = np) -> Any:
-        """Return the logarithm of the weighted value; negative values count as 0."""
+        """Return the logarithm of the weighted value; negative values are treated as 0."""
         return _log1p(xp.maximum(values, 0.0) * (self._weight(cosine_weight, xp) / self.epsilon), xp)
 
     def inverse(self, mapped: Any, cosine_weight: Any = None, xp: Any = np) -> Any:
@@ -139,7 +139,7 @@ class LogRelative:
         return _expm1(xp.maximum(mapped, 0.0), xp) * self.epsilon / self._weight(cosine_weight, xp)
 
     def slope(self, values: Array, cosine_weight: Array | None = None) -> Array:
-        """Return `f + epsilon / w`, also at 0, where the inverse stops, so that a search can leave 0."""
+        """Return `f + epsilon / w`, also at 0, where the inverse is constant, so that a search can leave 0."""
         return values + self.epsilon / self._weight(cosine_weight, np)
 
     def _weight(self, cosine_weight: Any, xp: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Errors between BRDFs."""
+"""Computes errors between BRDFs."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _UNKNOWN: Any = float("nan")
 
 EXPECTED_BALL = f"expected {BALL_COLUMN}"
 ERROR_COLUMNS = {BALL_COLUMN: ("ball",), "cube root": ("cube_root",), "linear": ("linear",)}
-"""Columns of a batch that show errors, see `results.Entry`."""
+"""Columns of the table of a batch that show errors, see `results.Entry`."""
 EXPECTED_COLUMNS = {f"expected {title}": keys for title, keys in ERROR_COLUMNS.items()}
-"""Columns of a batch that show expected errors."""
+"""Columns of the table of a batch that show expected errors."""
 
 Number = TypeVar("Number", bound=float | Array)
 
@@ -31,20 +31,21 @@ class Errors(Generic[Number]):
     """Errors of BRDFs against a reference: numbers for one BRDF, arrays of any shape for several; NaN if unknown.
 
     Attributes:
-        ball: CIEDE2000 of the ball, mean over the lights in which looks are judged; see `colour.panel`.
-        cube_root: `||(w f*)^(1/3) - (w f)^(1/3)|| / ||(w f)^(1/3)||`, w being both cosines.
+        ball: ball error: mean CIEDE2000 over a rendered sphere and the five test lights; see `colour.panel`.
+        cube_root: `||(w f*)^(1/3) - (w f)^(1/3)|| / ||(w f)^(1/3)||`, where w is the product of both cosines.
         linear: `||w (f* - f)|| / ||w f||`.
-        worst, worst_light: CIEDE2000 of the ball in the light where it is largest, and of one BRDF its name.
-        ball_itp: Delta E_ITP of the ball (ITU-R BT.2124), mean over the lights.
-        fitted_ball: CIEDE2000 of the ball, mean over the lights that fits see.
+        worst, worst_light: mean CIEDE2000 over the sphere in the light where it is largest; the light's name (of one
+            BRDF).
+        ball_itp: mean Delta E_ITP (ITU-R BT.2124) over the sphere and the five test lights.
+        fitted_ball: mean CIEDE2000 over the sphere and the lights of fits.
         rmse: eq. 22 of Hikichi & Iwasaki, in 1/sr; bands are summed.
-        rmse_80: the same of directions within 80 degrees, weighted by both cosines.
+        rmse_80: like `rmse`, over directions within 80 degrees of the normal, weighted by both cosines.
         near_mirror: cube-root error of directions within `NEAR_MIRROR_DEG` of the mirror direction.
         elsewhere: cube-root error of all other directions.
-        scaled_ball: `ball` of f* times the factor that fits best, that is, after matching the brightness.
-        lights: CIEDE2000 of the ball by light.
-        colours: CIEDE2000 by illuminant, mean over six directions of a multi-angle instrument.
-        angles_deg: spectral angle by illuminant, likewise.
+        scaled_ball: ball error after multiplying f* by the factor that fits best.
+        lights: mean CIEDE2000 over the sphere, by light.
+        colours: CIEDE2000 by illuminant, averaged over six directions of a multi-angle instrument.
+        angles_deg: spectral angle by illuminant, averaged over the same directions.
     """
 
     ball: Number = _UNKNOWN
@@ -74,7 +75,7 @@ class Errors(Generic[Number]):
 
     @classmethod
     def of_lights(cls, lights: Mapping[str, float], ball_itp: float) -> Errors[float]:
-        """Return the errors of appearance, as CIEDE2000 in every light."""
+        """Return the ball errors, from CIEDE2000 in every light."""
         worst = max(lights, key=lights.__getitem__)
         return Errors(
             sum(lights.values()) / len(lights), worst=lights[worst], worst_light=worst, ball_itp=ball_itp,
@@ -110,14 +111,14 @@ class Errors(Generic[Number]):
         return replace(self, **other.known)
 
     def beside(self, other: Errors[float]) -> Errors[Number]:
-        """Combine errors with independent ones: roots of the sums of squares of ball, cube-root and linear errors."""
+        """Combine ball, cube-root and linear errors with independent ones, as roots of the sums of squares."""
         both = {
             name for name in ("ball", "cube_root", "linear") if name in self.known and name in other.known
         }
         return replace(self, **{name: np.hypot(getattr(self, name), getattr(other, name)) for name in both})
 
     def over(self, of: Callable[[Array], float]) -> Errors[float]:
-        """Reduce every array to one number, such as its mean."""
+        """Reduce every array to one number by a function, such as its mean."""
 
         def one(value: Any) -> Any:
             return {key: of(v) for key, v in value.items()} if isinstance(value, Mapping) else of(value)
@@ -126,12 +127,12 @@ class Errors(Generic[Number]):
 
     @property
     def median(self) -> Errors[float]:
-        """Medians of several; NaN does not count."""
+        """Medians over several BRDFs, without NaN."""
         return self.over(lambda values: float(np.nanmedian(values)))
 
     @property
     def p90(self) -> Errors[float]:
-        """90th percentiles of several; NaN does not count."""
+        """90th percentiles over several BRDFs, without NaN."""
         return self.over(lambda values: float(np.nanpercentile(values, 90)))
 
     def to_json(self) -> dict[str, Any]:
@@ -161,7 +162,7 @@ class Errors(Generic[Number]):
 
     @property
     def words(self) -> list[str]:
-        """Return the errors of one BRDF in words, for a terminal."""
+        """Return texts with the errors of one BRDF, for a terminal."""
         parts = {
             "near_mirror": f"{percent(self.near_mirror)} within {NEAR_MIRROR_DEG:g} degrees of the mirror direction",
             "elsewhere": f"{percent(self.elsewhere)} elsewhere",
@@ -188,8 +189,8 @@ def rmse(f: Array, f_star: Array, *, n_pairs: float | None = None) -> float:
     Args:
         f: measured values in 1/sr, shape (..., B), bands last.
         f_star: predicted values, same shape.
-        n_pairs: number of direction pairs to divide by; those passed, if None. Give the size of the whole
-            grid where pairs below the horizon (error 0) were left out.
+        n_pairs: number of direction pairs by which to divide; None divides by the number of pairs in f. Give the size
+            of the whole grid if pairs below the horizon (error 0) were left out.
 
     Raises:
         ShapeError: the shapes differ.
@@ -207,11 +208,11 @@ def relative_error(f: Array, f_star: Array, weight: Array | float = 1.0) -> floa
     Args:
         f: measured values in 1/sr, shape (..., B), bands last.
         f_star: predicted values, same shape.
-        weight: w per direction pair, shape (...); `cosine_weight(wi, wo)` in this package's reports.
+        weight: weight w of each direction pair, shape (...); this package's reports use `cosine_weight(wi, wo)`.
 
     Returns:
-        0 for a perfect prediction, 1 for one of all zeros; 0 / 0 counts as 0, anything else over 0 as a very large
-        finite number: JSON has no infinity.
+        0 for a perfect prediction, 1 for a prediction of zeros. 0 / 0 gives 0; any other error over 0 gives a very
+        large finite number, because JSON has no infinity.
 
     Raises:
         ShapeError: the shapes differ.
@@ -243,7 +244,7 @@ class RunningErrors:
     """Errors accumulated over blocks of direction pairs, of one material or of many side by side.
 
     Attributes:
-        n_pairs: direction pairs counted.
+        n_pairs: number of direction pairs so far.
     """
 
     def __init__(self) -> None:
@@ -253,13 +254,13 @@ class RunningErrors:
         self._cube_root: tuple[Array, Array] = (np.zeros(()), np.zeros(()))
 
     def add(self, f: Array, f_star: Array, weight: Array, roots: Array | None = None) -> None:
-        """Count a block.
+        """Add a block of direction pairs.
 
         Args:
             f: measured values in 1/sr, shape (..., P, B); leading axes are materials.
             f_star: predicted values, same shape.
-            weight: per direction pair, shape (P,).
-            roots: `(w f)^(1/3)` where it is at hand, shape (..., P, B).
+            weight: weight of each direction pair, shape (P,).
+            roots: `(w f)^(1/3)`, shape (..., P, B), if it is already computed.
 
         Raises:
             ShapeError: f and f_star differ in shape.
@@ -280,7 +281,7 @@ class RunningErrors:
     def errors(self, n_pairs: float | None = None) -> Errors[Array]:
         """Return cube-root error, linear error and eq. 22 per material.
 
-        `n_pairs` divides the sum of eq. 22; the default is the number of counted pairs.
+        `n_pairs` divides the sum of eq. 22; None means the number of pairs that were added.
         """
         return Errors(
             cube_root=_norm_ratio(*self._cube_root), linear=_norm_ratio(*self._linear),
@@ -312,7 +313,7 @@ def spectral_angle(f: Array, f_star: Array) -> Array:
     >>> spectral_angle(np.array([1.0, 0.0]), np.array([0.0, 2.0])).round(6)
     np.float64(1.570796)
 
-    Independent of intensity. Two zero spectra have angle 0, a zero and a non-zero one pi / 2.
+    The angle does not depend on intensity. It is 0 for two zero spectra, and pi / 2 if only one spectrum is zero.
 
     Source: Kruse et al. 1993, in the half-angle form of Kahan, which is exact for small angles.
     """

@@ -1,4 +1,4 @@
-"""Words of messages: similar names, names on one line, lists, counts."""
+"""Formats parts of messages: similar names, names on one line, lists and counts."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ _LEAST_PART = 3  # letters of a part of a name
 
 
 def names_like(names: Iterable[str], name: str, among: str = "it holds") -> str:
-    """Return similar names for an error message: those that contain a name or are close matches, else the first few.
+    """Return a text with names similar to an unknown name, or with the first few names if none is similar.
 
-    Upper and lower case do not matter; a name of one or two letters is in too many others. `among` stands before the
-    first few.
+    Similar names contain the name or are close matches, ignoring case. For names of one or two letters, containing it
+    is not enough. `among` is the text before the first few names.
     """
     known, name = list(dict.fromkeys(names)), name.lower()
     within = [k for k in known if len(name) >= _LEAST_PART and name in k.lower()]
@@ -27,7 +27,7 @@ def names_like(names: Iterable[str], name: str, among: str = "it holds") -> str:
 
 
 def first_few(words: Sequence[str], most: int = _SHOWN, between: str = ", ", hint: str = "") -> str:
-    """Return the first few words and the number of the others, with a hint behind that number."""
+    """Return the first few words and the number of the others, followed by a hint."""
     more = len(words) - most
     return between.join(words[:most]) + (f"{between.rstrip(', ')} and {more} more{hint}" if more > 0 else "")
 
@@ -35,7 +35,7 @@ def first_few(words: Sequence[str], most: int = _SHOWN, between: str = ", ", hin
 def printable(text: str, limit: int | None = None, *, keep: str = "") -> str:
     """Return a text on one line, with escapes for unprintable characters, cut at a limit of characters.
 
-    Characters to keep, such as line breaks, stay as they are.
+    Characters in `keep`, such as line breaks, stay as they are.
     """
     shown = text if limit is None else text[: limit + 1]
     shown = "".join(
@@ -46,17 +46,17 @@ def printable(text: str, limit: int | None = None, *, keep: str = "") -> str:
 
 
 def without_controls(text: str) -> str:
-    """Replace control characters other than line breaks by question marks, for readers that obey or refuse them."""
+    """Replace control characters other than line breaks by question marks, because programs obey or refuse them."""
     return "".join("?" if c != "\n" and unicodedata.category(c) == "Cc" else c for c in text)
 
 
 def in_one_line(name: str) -> str:
-    """Return a name for a line of a text file."""
+    """Return a name in a form that fits on one line of a text file."""
     return without_controls(" ".join(name.split()))
 
 
 def in_words(count: int) -> str:
-    """Return a count as a word, from ten on in digits."""
+    """Return a count as a word, or in digits from ten on."""
     words = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
     return words[count] if count < len(words) else str(count)
 
@@ -67,7 +67,7 @@ def counted(count: int, what: str) -> str:
 
 
 def percent(share: SupportsFloat, digits: int = 0) -> str:
-    """Return a share in per cent, with a number of decimal digits.
+    """Return a share as a text in per cent, with a number of decimal digits.
 
     >>> percent(0.045, 1)
     '4.5 %'

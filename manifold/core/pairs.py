@@ -1,4 +1,4 @@
-"""Pairs of directions: grids of them, and their coordinates in RGL files, located once for many materials."""
+"""Direction pairs: grids of them, and their coordinates in RGL files, which are computed once for many materials."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from manifold.core.records import Array, Indices, Mask
 from manifold.registries import NAMED_GRIDS
 
 LEVEL = 1e-9
-"""Cosine of a direction at the horizon: a right angle rounds to 6e-17, by which f_cos must not be divided."""
+"""Largest cosine of a direction that is treated as being on the horizon; a right angle rounds to 6e-17."""
 
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
-"""The golden section, whose multiples spread evenly over a turn."""
+"""The golden section; its multiples spread evenly over a turn."""
 
 Symmetry = tuple[bool, int, float]
-"""What `Pairs.located` takes."""
+"""The arguments of `Pairs.located`: whether isotropic, how often azimuths repeat, and the rotation in radians."""
 
 
 def flat_samples(wi: Array, u: Array) -> tuple[Array, Array, tuple[int, ...]]:
@@ -39,15 +39,15 @@ def flat_samples(wi: Array, u: Array) -> tuple[Array, Array, tuple[int, ...]]:
 
 
 def value_type(*vectors: Array) -> DTypeLike:
-    """Return the type of values at directions: single precision if all directions are, else double."""
+    """Return the type of values at directions: single precision if all directions have it, otherwise double."""
     return np.float32 if all(np.asarray(each).dtype == np.float32 for each in vectors) else np.float64
 
 
 def as_rows(vectors: Array, others: Array, name: str, width: int = 3) -> tuple[Array, Array, tuple[int, ...]]:
-    """Return directions (..., 3) and others (..., width) as contiguous rows, and the shape that they broadcast to.
+    """Return directions (..., 3) and others (..., width) as contiguous rows, and their broadcast shape.
 
-    The rows are (K, width), or one for all pairs; in single precision if both arrays were, else in double. Loops check
-    their values: passes of NumPy would take as long as the values of an RGB file.
+    The rows are (K, width), or one row for all pairs, in single precision if both arrays are, otherwise in double.
+    The compiled loops check the values, because checks in NumPy would take as long as evaluating an RGB file.
     """
     vectors, others = np.asarray(vectors), np.asarray(others)
     dtype = value_type(vectors, others)
@@ -69,7 +69,7 @@ def as_rows(vectors: Array, others: Array, name: str, width: int = 3) -> tuple[A
 
 
 def results(shape: tuple[int, ...], out: Array | None, dtype: DTypeLike = np.float64) -> Array:
-    """Return the array for values of a shape: `out`, which must fit, or new memory of a type."""
+    """Return the array for results of a shape: `out`, if given, which must fit, or a new array of a type."""
     if out is None:
         return np.empty(shape, dtype)
     if not isinstance(out, np.ndarray):
@@ -91,7 +91,7 @@ class Pairs:
 
     Attributes:
         wi, wo: contiguous unit vectors, shape (K, 3).
-        shape: what the pairs were broadcast to, the vectors' axis left out.
+        shape: broadcast shape of the pairs, without the axis of the vectors.
     """
 
     def __init__(self, wi: Array, wo: Array) -> None:
@@ -109,7 +109,7 @@ class Pairs:
         return len(self.wi)
 
     def blocks(self, size: int) -> Iterator[tuple[slice, Pairs]]:
-        """Yield slices of at most `size` pairs, each with its pairs."""
+        """Yield the pairs in blocks of at most `size`, each with its slice."""
         for start in range(0, len(self), size):
             rows = slice(start, start + size)
             yield rows, self[rows]
@@ -131,7 +131,7 @@ class Pairs:
         return cosine_weight(self.wi, self.wo)
 
     def results(self, count: int, out: Array | None, dtype: DTypeLike = np.float64) -> Array:
-        """Return the array for `count` values per pair, (..., count): `out`, which must fit, or a new one."""
+        """Return the array for `count` values per pair, shape (..., count): `out`, if given, or a new array."""
         return results((*self.shape, count), out, dtype)
 
     def turned(self, angle_rad: float) -> tuple[Array, Array]:
@@ -143,10 +143,10 @@ class Pairs:
     def located(self, isotropic: bool, reduction: int, rotation_rad: float = 0.0) -> Array:
         """Return `theta_i, phi_i, u_x, u_y` of the half vector and cos(theta_o), shape (K, 5).
 
-        A pair below the horizon has cosine 0, and nothing else. Cached: this takes as long as looking up fifty bands,
-        and most materials share one symmetry. For isotropic ones u_y is relative to the incident azimuth; a file of
-        reduction 2 or 4 holds half or a quarter of the azimuths; a rotation is the azimuth by which the sample lay
-        turned.
+        For a pair below the horizon, only the cosine 0 is defined. For isotropic materials, u_y is relative to the
+        incident azimuth. A file with `reduction` 2 or 4 holds half or a quarter of the azimuths. `rotation_rad` is
+        the azimuth by which the specimen was turned. The result is cached, because it takes as long as looking up
+        fifty bands, and most materials have the same symmetry.
         """
         key = (isotropic, reduction, rotation_rad)
         if key not in self._located:
@@ -160,14 +160,14 @@ class Pairs:
 class RusinkiewiczGrid:
     """A grid of direction pairs over theta_h and theta_d in [0, 90) and phi_d in [0, 180) degrees.
 
-    Half vectors have azimuth 0, which is enough for isotropic materials; others need `is_turned`.
+    Half vectors have azimuth 0, which is enough for isotropic materials; anisotropic materials need `is_turned`.
 
     Attributes:
         n_theta_h, n_theta_d, n_phi_d: nodes per angle; phi_d runs fastest.
-        squared_theta_h: space theta_h by squares, dense around the mirror direction, as MERL files do.
-        offset: where in its cell a node lies, from 0 (lower edge) to below 1; 0.5 is the centre.
-        is_turned: turn each pair about the normal, by multiples of the golden section of a turn: as many pairs, whose
-            half vectors have all azimuths at every theta_h.
+        squared_theta_h: whether theta_h is spaced by squares, dense around the mirror direction, as in MERL files.
+        offset: position of a node in its cell, from 0 (lower edge) to below 1; 0.5 is the centre.
+        is_turned: whether each pair is turned about the normal by a multiple of the golden section of a turn, so that
+            the same number of half vectors covers all azimuths at every theta_h.
     """
 
     n_theta_h: int = 45
@@ -191,12 +191,12 @@ class RusinkiewiczGrid:
         return NAMED_GRIDS[name]
 
     def suited_to(self, is_isotropic: bool) -> RusinkiewiczGrid:
-        """Return this grid, with pairs at several azimuths unless all compared materials are isotropic."""
+        """Return this grid, turned (`is_turned`) unless all compared materials are isotropic."""
         return self if is_isotropic else replace(self, is_turned=True)
 
     @property
     def n_pairs(self) -> int:
-        """Number of direction pairs, those below the horizon included."""
+        """Number of direction pairs, including those below the horizon."""
         return self.n_theta_h * self.n_theta_d * self.n_phi_d
 
     def angles(self, start: int = 0, stop: int | None = None) -> tuple[Array, Array, Array]:
@@ -230,4 +230,4 @@ class RusinkiewiczGrid:
 
 DEFAULT = RusinkiewiczGrid()
 HIKICHI = RusinkiewiczGrid(90, 90, 180, squared_theta_h=False, offset=0.0)
-"""The grids of `NAMED_GRIDS`."""
+"""The grid of Hikichi & Iwasaki, see `NAMED_GRIDS`."""

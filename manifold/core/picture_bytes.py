@@ -1,7 +1,7 @@
-"""Pixels of PNG and JPEG pictures as they are stored; no other module opens a picture by Pillow.
+"""Decodes PNG and JPEG pictures; no other module opens pictures with Pillow.
 
-Pillow finds out by itself what a picture is, whatever its name says, and starts Ghostscript for an EPS. So only what
-begins as PNG or JPEG is given to it.
+Pillow recognises pictures by content and starts Ghostscript for EPS files. Therefore only content that begins like
+PNG or JPEG is passed to it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ KINDS = {
     b"\x76\x2f\x31\x01": "openexr", b"#?": "hdr", b"PF": "pnm", b"Pf": "pnm", b"II*\0": "tiff", b"MM\0*": "tiff",
     b"II+\0": "tiff", b"MM\0+": "tiff", b"\x89PNG": "png", b"\xff\xd8\xff": "jpeg", b"BM": "bmp", b"RIFF": "webp",
 }  # fmt: skip
-"""Kinds of pictures by how their files begin."""
+"""Kinds of pictures by the first bytes of their files."""
 
 _MAGIC = {b"\x89PNG\r\n\x1a\n": "PNG", b"\xff\xd8\xff": "JPEG"}
 _OTHERS = {
@@ -31,11 +31,11 @@ _MODES = ("L", "LA", "P", "RGB", "RGBA")  # of 8 bits
 
 
 def decode(content: bytes, mode: Literal["RGB", "RGBA"] = "RGB", *, most_pixels: int = _MOST_PIXELS) -> Array:
-    """Decode a PNG or JPEG picture of 8 bits to its codes, shape (H, W, 3) or (H, W, 4).
+    """Decode an 8-bit PNG or JPEG picture to its stored values, shape (H, W, 3) or (H, W, 4).
 
     Raises:
-        FileFormatError: it is another picture, has more pixels, or is damaged; the message has no name, which the
-            caller knows.
+        FileFormatError: the content is another kind of picture, has too many pixels, or is damaged; the message does
+            not name the file.
     """
     from PIL import Image
 
@@ -61,5 +61,5 @@ def decode(content: bytes, mode: Literal["RGB", "RGBA"] = "RGB", *, most_pixels:
 
 
 def kind_of(content: bytes) -> str | None:
-    """Return PNG or JPEG by the first bytes of a picture, else None."""
+    """Return "PNG" or "JPEG" from the first bytes of a picture, otherwise None."""
     return next((kind for magic, kind in _MAGIC.items() if content.startswith(magic)), None)

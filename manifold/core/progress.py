@@ -1,6 +1,6 @@
-"""Progress of long work: whoever shows it sets a context variable, and whatever works reports to it.
+"""Reports the progress of long work to a listener in a context variable, without passing callbacks.
 
-Nothing passes a callback on. What reports inside `each` is silent: the outer loop knows how much there is to do.
+Reports from inside `each` are ignored, because only the outer loop knows the total.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ _display: ContextVar[Display | None] = ContextVar("display", default=None)
 
 
 def display_with(display: Display) -> None:
-    """Make `shown` open this display from now on; a command line calls this as it starts."""
+    """Set the display that `shown` opens; the command line calls this when it starts."""
     _display.set(display)
 
 
 @contextmanager
 def listen(listener: Progress | None) -> Iterator[None]:
-    """Have progress reported to a function of (done, total, what), or to none.
+    """Report progress inside the block to a function of (done, total, what), or to nobody if it is None.
 
     >>> with listen(lambda done, total, what: print(f"{done} of {total}: {what}")):
     ...     report(1, 2, "materials")
@@ -50,7 +50,7 @@ def listen(listener: Progress | None) -> Iterator[None]:
 
 @contextmanager
 def shown(title: str, *, in_bytes: bool = False) -> Iterator[None]:
-    """Show the progress of work inside, if there is a display and nobody listens already."""
+    """Show the progress of work inside the block, if there is a display and no listener yet."""
     display = _display.get()
     if display is None or _listener.get() is not None:
         yield
@@ -67,7 +67,7 @@ def report(done: int, total: int, what: str = "") -> None:
 
 
 def each(items: Iterable[T], what: str | Callable[[T], str] = "") -> Iterator[T]:
-    """Yield the items in order, and report after each how many are done, with a text or a function of the item."""
+    """Yield the items in order, and report after each how many are done; `what` is a text or a function of the item."""
     known, listener = list(items), _listener.get()
     for done, item in enumerate(known, start=1):
         _listener.set(None)
@@ -79,10 +79,9 @@ def each(items: Iterable[T], what: str | Callable[[T], str] = "") -> Iterator[T]
 
 
 class Stages:
-    """Overall progress, in hundredths, from the progress of single stages.
+    """Combines the progress of several stages to overall progress in hundredths.
 
-    Shares are of each stage in the time of the whole, in the order in which they follow each other; one called "" has
-    stages of its own.
+    `shares` are the shares of the stages in the total time, in order; a stage called "" has stages of its own.
     """
 
     def __init__(self, shares: Mapping[str, float]) -> None:

@@ -1,4 +1,4 @@
-"""Frozen records shared by the modules."""
+"""Immutable records that many modules share."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Bands:
     """The spectral axis of a BRDF: B wavelengths, or the three channels of linear sRGB.
 
     Attributes:
-        wavelengths_nm: band centres in nm, strictly increasing, shape (B,), any sequence or array; None for RGB.
+        wavelengths_nm: band centres in nm, strictly increasing, a sequence or array of shape (B,); None for RGB.
 
     Raises:
         ShapeError: there are no wavelengths, or they are not finite or do not increase.
@@ -86,12 +86,12 @@ class Bands:
         return f"{self.count} bands, {self.wavelengths_nm[0]:.1f} to {self.wavelengths_nm[-1]:.1f} nm"
 
     def select(self, indices: Iterable[int]) -> Bands:
-        """Return the bands of increasing indices. Linear sRGB keeps all its three channels, which belong together."""
+        """Return the bands with these increasing indices; linear sRGB must keep all three channels."""
         nm = self.wavelengths_nm
         return self if nm is None else Bands(tuple(nm[b] for b in indices))
 
     def require_same(self, other: Bands, where: str, remedy: str) -> None:
-        """Raise BandMismatchError unless `other` has the very same bands."""
+        """Raise BandMismatchError unless `other` has exactly the same bands."""
         if self != other:
             raise BandMismatchError(f"{where}: found {other}, expected {self}; {remedy}")
 
@@ -108,13 +108,13 @@ _ORIGINS = {
 
 
 def origin_of(description: str) -> str:
-    """Return the origin of a file's values: `measured`, unless this package wrote the description."""
+    """Return the origin of a file's values from its description: `measured`, unless this package wrote it."""
     return next((word for start, word in _ORIGINS.items() if description.startswith(start)), "measured")
 
 
 @dataclass(frozen=True, eq=False)
 class BsdfFile:
-    """One RGL tensor file. P incident azimuths, T angles of incidence, B bands.
+    """The content of an RGL file with P incident azimuths, T angles of incidence, and B bands.
 
     Attributes:
         name: the material's name (the file name without `_spec.bsdf` or `_rgb.bsdf`).
@@ -129,9 +129,10 @@ class BsdfFile:
         luminance: relative luminance on the warped grid, float32, shape (P, T, H, W).
         spectra: measured values on the warped grid, float32, shape (P, T, B, H, W); `rgb` in an RGB file.
         jacobian: whether values are multiplied by ndf / (4 sigma) to give f_cos in 1/sr.
-        valid: the mask as the file holds it (uint8, usually packed bits); see `measured_mask`.
-        extra: fields this package does not interpret, by name.
-        rotation_rad: azimuth by which the sample lay turned, which evaluation undoes; a library tells it, no file.
+        valid: the mask in the form of the file (uint8, usually packed bits); see `measured_mask`.
+        extra: fields that this package does not interpret, by name.
+        rotation_rad: azimuth by which the specimen was turned when it was measured, which evaluation reverses;
+            libraries store it, files do not.
     """
 
     name: str
@@ -167,7 +168,7 @@ class BsdfFile:
 
     @property
     def azimuth_repeats(self) -> int:
-        """Return how often the azimuths of an anisotropic file repeat in a turn: 2 or 4 if symmetry allows."""
+        """Return how often the azimuths of an anisotropic file repeat in a turn: 1, or by symmetry 2 or 4."""
         return round(2.0 * np.pi / float(self.phi_i_rad[-1] - self.phi_i_rad[0]))
 
     @property
@@ -179,10 +180,10 @@ class BsdfFile:
     def measured_mask(self) -> Mask:
         """Return a mask of the cells that were measured, bool, shape (P, T, H, W).
 
-        The bits mean "measured" in files of pipeline versions up to 3.1 and "unmeasured" from 3.2 on,
-        and RGB files do not say which. What is not zero was measured, a few per cent at the rim excepted (which
-        the database filled), so the reading that keeps more of these cells wins; zeros do not vote, since black and
-        lost cells hold them too. Without bits, the non-zero cells count as measured.
+        A bit means "measured" in files of pipeline versions up to 3.1 and "unmeasured" from 3.2 on; RGB files do not
+        state the version. Non-zero cells were measured, except for a few per cent at the rim that the database
+        filled. Therefore the meaning that keeps more non-zero cells is used; zeros are ignored, because black cells
+        are zero as well. Without bits, non-zero cells are treated as measured.
         """
         shape = self.luminance.shape
         count = int(np.prod(shape))
@@ -198,7 +199,7 @@ class BsdfFile:
 
 
 def plain(value: Any) -> Any:
-    """Return a value as JSON holds it: records by their `to_json` or fields, None for NaN, paths as text."""
+    """Return a value in a form for JSON: records by their `to_json` or fields, NaN as None, paths as text."""
     match value:
         case None | bool() | int():
             return value
@@ -220,7 +221,7 @@ def plain(value: Any) -> Any:
             return [plain(each) for each in value]
         case PurePath():
             return shipped.named(value)
-    raise TypeError(f"{type(value).__name__} has no place in JSON")
+    raise TypeError(f"{type(value).__name__} cannot be written as JSON")
 
 
 def evenly_spaced(total: int, count: int) -> Indices:

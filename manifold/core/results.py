@@ -1,4 +1,4 @@
-"""Results that declare at each field how it is shown: in tables and reports, in JSON, and in tables of batches."""
+"""Base class of results whose fields declare how they are shown in tables, reports and JSON."""
 
 from __future__ import annotations
 
@@ -19,18 +19,19 @@ _ENTRY = "entry"
 
 @dataclass(frozen=True)
 class Entry:
-    """How a field or property of a result is shown.
+    """Declares how a field or property of a result is shown.
 
     Attributes:
-        row: label of its row in the printed table and the report; None for no row. A value that is None or empty has
-            none.
+        row: label of the row in the printed table and the report; None for no row. Values that are None or empty have
+            no row.
         words: text of the row: a format of the value, such as `{:.2f}`, or a function of the result; by default the
             value itself, or a number with three digits.
-        unit: of the value, which follows its format.
-        columns: of the table of a batch, by title: keys that lead from the value in JSON to the cell, or a function of
-            the JSON of the result.
-        is_detail: whether only reports have the row, and not the terminal.
-        json: whether JSON holds the value, by the name of the field; or a function of the result in place of the value.
+        unit: unit, which follows the formatted value.
+        columns: columns in the table of a batch, by title: keys that lead from the value in JSON to the cell, or a
+            function of the JSON of the result.
+        is_detail: whether the row appears only in reports, and not in the terminal.
+        json: whether JSON holds the value under the name of the field; or a function of the result whose value JSON
+            holds.
     """
 
     row: str | None = None
@@ -69,9 +70,9 @@ def derived(**how: Any) -> Callable[[_Getter], _Getter]:
 
 
 class Result:
-    """Base of results: dataclasses whose fields carry `entry` and whose properties carry `derived`.
+    """Base class of results: dataclasses whose fields use `entry` and whose properties use `derived`.
 
-    Entries keep the order of the class body; new ones of a subclass precede those of its base.
+    Entries keep the order of the class body; new entries of a subclass precede those of its base class.
     """
 
     entries: ClassVar[dict[str, Entry]] = {}
@@ -84,7 +85,7 @@ class Result:
 
     @property
     def rows(self) -> dict[str, object]:
-        """Return the rows of the table, by label: words, lists of words, and sentences as a tuple."""
+        """Return the rows of the table, by label: texts, lists of texts, or tuples of sentences."""
         return self._rows_of(self.entries)
 
     @property
@@ -115,7 +116,7 @@ class Result:
 
 
 def placed(columns: Columns, others: Columns, *, before: str) -> Columns:
-    """Return columns with others before the one of a title."""
+    """Return columns with other columns inserted before the column with a title."""
     titles = list(columns)
     first = titles[: titles.index(before)]
     return {title: columns[title] for title in first} | others | columns

@@ -1,7 +1,8 @@
-"""The library and the model that the package brings along, by which it works without any file of the user.
+"""The built-in library and model, with which the package works without files of the user.
 
-They are named `built-in`, wherever a path of a library or model is taken. `built-in@HASH`, as scenes and JSON have it,
-is the same, and an error in a version that brings others. `tools/built_in.py` makes them.
+The name `built-in` stands for them wherever a path of a library or model is accepted. Scenes and JSON use
+`built-in@HASH`, which raises an error in a version of the package with another library or model. `tools/built_in.py`
+makes them.
 """
 
 from __future__ import annotations
@@ -36,13 +37,13 @@ def about() -> dict[str, Any]:
 
 @cache
 def content_hash() -> str:
-    """Return a hash of the built-in library and model, which stands in JSON and scenes."""
+    """Return the hash of the built-in library and model that JSON and scenes contain."""
     sums = json.dumps(about()["sha256"], sort_keys=True)
     return hashlib.sha256(sums.encode()).hexdigest()[:_HASH_LENGTH]
 
 
 def named(path: PurePath | str) -> str:
-    """Return a path as JSON and scenes name it: `built-in` with the hash of its content."""
+    """Return a path as text for JSON and scenes; for `built-in`, with the hash of its content."""
     if is_built_in(path):
         return f"{BUILT_IN}@{content_hash()}"
     return address_of(path) or str(path)
@@ -53,12 +54,13 @@ def require_same(path: PurePath | str) -> None:
     expected = str(path).partition("@")[2]
     if expected and expected != content_hash():
         raise UsageError(
-            f"{path}: another version of manifold; this one brings {named(BUILT_IN)}: name {BUILT_IN} to use that"
+            f"{path}: belongs to another version of manifold; this version contains {named(BUILT_IN)}: name "
+            f"{BUILT_IN} to use that"
         )
 
 
 def is_elsewhere(path: PurePath | str) -> bool:
-    """Return whether a path names the built-in library or model, or an address, which no file system has."""
+    """Return whether a path names the built-in library or model, or an address, instead of a file or folder."""
     return is_built_in(path) or address_of(path) is not None
 
 
@@ -68,17 +70,17 @@ def resolved(path: PurePath | str) -> Path:
 
 
 def exists(path: Path) -> bool:
-    """Return whether a path names the built-in library or model, an address, or a file or folder that is there."""
+    """Return whether a path names the built-in library or model, an address, or an existing file or folder."""
     return is_elsewhere(path) or path.exists()
 
 
 def model_file(path: Path) -> Path:
-    """Return the file of a model. Raises UsageError for the built-in one of another version."""
+    """Return the file of a model. Raises UsageError for the built-in model of another version."""
     return _own_file(path, MODEL_FILE) if is_built_in(path) else path
 
 
 def library_file(path: PurePath | str) -> Path:
-    """Return the zip file of the built-in library. Raises UsageError for that of another version."""
+    """Return the zip file of the built-in library. Raises UsageError for the library of another version."""
     return _own_file(path, LIBRARY_FILE)
 
 
@@ -86,7 +88,7 @@ _tell: Callable[[], object] = bool
 
 
 def tell_with(function: Callable[[], object]) -> None:
-    """Call a function once, when the built-in library or model is opened the next time."""
+    """Register a function that is called once, when the built-in library or model is opened next."""
     global _tell
     _tell = function
 

@@ -1,6 +1,6 @@
-"""Stores that libraries are read from: folders, zip files, and what fsspec opens, such as addresses on the web.
+"""Stores from which libraries are read: folders, zip files, and addresses that fsspec opens.
 
-All have one interface, `Store`, and paths with slashes between, such as `materials/satin_gold/zarr.json`.
+All have the interface `Store`, and paths separated by slashes, such as `materials/satin_gold/zarr.json`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # helps name the built-in library, and need no numbers
 
 METADATA, MATERIALS = "zarr.json", "materials"
 CONSOLIDATED = "consolidated_metadata"
-"""The key in the metadata of a group under which zarr stores those of all groups and arrays below it."""
+"""The key in a group's metadata under which zarr stores the metadata of all groups and arrays in it."""
 
 _ADDRESS = re.compile(r"([a-z][a-z0-9+.-]+):/+(?=[^/])")  # two letters or more: one is a drive of Windows
 
@@ -32,7 +32,7 @@ _ADDRESS = re.compile(r"([a-z][a-z0-9+.-]+):/+(?=[^/])")  # two letters or more:
 def address_of(path: PurePath | str) -> str | None:
     """Return the address that a text or path denotes, such as `https://example.org/library.zarr`, or None.
 
-    A path made of an address has lost the second of its slashes.
+    A `Path` made from an address is accepted as well, although it has lost the second slash.
     """
     text = path.as_posix() if isinstance(path, PurePath) else path
     found = _ADDRESS.match(text)
@@ -196,8 +196,8 @@ def is_zipped_library(path: Path) -> bool:
 class RemoteStore:
     """An address that fsspec opens.
 
-    The metadata of all materials are read at once, from that of their group; a file is fetched when its size is asked
-    for, and kept until it is read.
+    The metadata of all materials are read at once, from the metadata of their group. A file is fetched when its size
+    is requested, and kept until it is read.
     """
 
     def __init__(self, address: str) -> None:

@@ -1,4 +1,4 @@
-"""Thread control: work that is shared out among threads, and the threads of BLAS."""
+"""Distributes work among threads, and limits the threads of BLAS."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ if hasattr(os, "register_at_fork"):
 
 
 def thread_count() -> int:
-    """Return how many threads share out work: `MANIFOLD_NUM_THREADS`, or one per core that this process may use.
+    """Return the number of threads: `MANIFOLD_NUM_THREADS`, or one per core that this process may use.
 
     Raises:
-        UsageError: the variable is no positive integer.
+        UsageError: the variable is not a positive integer.
     """
     if _limit is not None:
         return _limit
@@ -53,7 +53,7 @@ def thread_count() -> int:
 
 @contextmanager
 def limit_threads(count: int) -> Iterator[None]:
-    """Share out work among at most `count` threads, in the whole process."""
+    """Limit the number of threads to `count` inside the block, in the whole process."""
     global _limit
     before, _limit = _limit, count
     try:
@@ -65,8 +65,8 @@ def limit_threads(count: int) -> Iterator[None]:
 def share_out(work: Callable[[T], object], parts: Sequence[T]) -> None:
     """Call `work` with each part, on `thread_count()` threads including the calling one.
 
-    Calls within `work` stay on its thread. An exception drops the parts that have not begun, and is raised when all
-    threads have stopped.
+    Nested calls stay on the thread of `work`. After an exception no further parts are begun, and it is raised when
+    all threads have stopped.
     """
     count = min(thread_count(), len(parts))
     if count <= 1 or getattr(_here, "is_shared", False):
@@ -149,7 +149,7 @@ class _OneBlasThread:
 
 
 one_blas_thread = _OneBlasThread()
-"""A context in which BLAS keeps to one thread; threads may enter it at the same time, and it may be nested.
+"""A context manager that limits BLAS to one thread; several threads may enter it, and it may be nested.
 
-Sharing out 200 x 200 entries costs ten times the work itself, and every level of threads above it once more.
+For 200 x 200 matrices, distributing the work costs ten times as much as the work itself.
 """

@@ -1,7 +1,7 @@
-"""Tasks shared out: in this process, or by an executor of local processes, of threads, or of a Dask cluster.
+"""Runs tasks in this process, or by an executor of local processes, of threads, or of a Dask cluster.
 
-A task is a function of paths and small values that can be pickled. It writes a file by renaming and may run again. Its
-result does not depend on where it runs: BLAS, whose sums depend on its threads, has one in every task.
+A task is a function of paths and small values that can be pickled. It writes files atomically and may run again. Its
+result does not depend on where it runs; BLAS has one thread in every task, because its sums depend on the number.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ R = TypeVar("R")
 def run(
     function: Callable[[T], R], tasks: Sequence[T], workers: Executor | None = None
 ) -> Iterator[tuple[int, R | None, str | None]]:
-    """Run tasks, and give index, result and failure of each as soon as it ends; one that fails stops no other.
+    """Run tasks, and yield the index, result and failure of each as soon as it ends.
 
-    What a task raises of `ManifoldError` and `OSError` is its failure, and its result None. An interruption waits for
-    the tasks that are running. A single task is not worth a process of its own. Without workers they run in this
-    process, in order, and nothing is pickled.
+    After a failure, the others still run. If a task raises `ManifoldError` or `OSError`, its failure is the message
+    and its result None. An interruption waits for running tasks. Without workers, or for a single task and local
+    processes, the tasks run in this process, in order, and nothing is pickled.
     """
     if workers is None or (isinstance(workers, ProcessPoolExecutor) and len(tasks) == 1):
         yield from map(partial(_attempt, function), range(len(tasks)), tasks)
@@ -45,7 +45,7 @@ def run(
             yield future.result()
     except BrokenProcessPool:
         raise ManifoldError(
-            "a process was killed (out of memory?); use fewer, and run again: finished files are kept"
+            "a worker process was killed (out of memory?); use fewer workers, and run again: finished files are kept"
         ) from None
     except KeyboardInterrupt:
         running = [future for future in waiting if not future.cancel()]

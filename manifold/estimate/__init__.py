@@ -1,4 +1,4 @@
-"""A material from observations: readings, gloss, photographs, whole files, attributes; and what to measure next."""
+"""Estimates materials from readings, gloss, photographs, files or attributes, and suggests what to measure next."""
 
 import lazy_loader
 

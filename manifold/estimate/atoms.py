@@ -1,4 +1,4 @@
-"""The atoms of an estimate: single bands of a library's materials, dielectric coats, and analytic lobes."""
+"""The atoms (basis functions) of an estimate: single bands of a library's materials, dielectric coats, and lobes."""
 
 from __future__ import annotations
 
@@ -32,33 +32,33 @@ from manifold.model.reconstruction import DICTIONARY
 from manifold.model.settings import SAMPLE_BANDS
 
 MOST_MATERIALS = 1000
-"""The largest library whose materials are all left out once, each estimated from all others."""
+"""Largest number of materials of a library that estimates accept."""
 
 COAT_ALPHAS = tuple(np.geomspace(0.015, 0.26, 10).tolist())  # duller ones replace measured matt materials
 COAT_INDICES = (1.42, 1.58)
 _COAT_BASE = 0.9  # largest reflectance of what is below a coat
 _LEAST_COAT = 0.05  # mean prior weight from which a coat is fitted to the readings
 LAMBERTIAN = Dictionary(lobes=Lobes((), ()))
-"""The only analytic lobe among atoms of cube roots."""
+"""Dictionary with the Lambertian, the only analytic lobe among atoms of cube roots."""
 _MOST_SHOWN = 6  # materials of a mixture
 
 
 @cache
 def ball_coordinates() -> Array:
-    """Return coordinates of the direction pairs that render the ball in the test lights, see `residual.coordinates`."""
+    """Return coordinates of the direction pairs of a sphere in the five test lights, see `residual.coordinates`."""
     lights = panel.judged()
     return coordinates(lights.wi, lights.wo)
 
 
 @cache
 def grid_coordinates() -> Array:
-    """Return coordinates of the encoding grid, for any azimuths of half vectors, see `residual.coordinates`."""
+    """Return the coordinates of the encoding grid's direction pairs, see `residual.coordinates`."""
     grid = encoding_pairs()
     return coordinates(grid.wi, grid.wo)
 
 
 def shown_shares(names: Sequence[str], weights: Array) -> tuple[tuple[str, float], ...]:
-    """Return the materials of a mixture that are shown, with their weights (N,), largest first; none means black."""
+    """Return the names and weights of a mixture's materials to show, largest first; the result is empty for black."""
     order = np.argsort(-weights, kind="stable")[:_MOST_SHOWN]
     shown = tuple((names[m], float(weights[m])) for m in order if weights[m] > SHOWN_WEIGHT * weights.sum())
     return shown or (("black", 1.0),)
@@ -68,22 +68,22 @@ def shown_shares(names: Sequence[str], weights: Array) -> tuple[tuple[str, float
 class LibraryAtoms:
     """n atoms whose non-negative combinations explain observations, all in one band.
 
-    Their cube roots are combined, as mixtures of materials are: single bands of m materials, then a Lambertian. With
-    `in_values`, f itself is combined, because pixels measure sums of light; the atoms then also include powers of the
-    library's bands (broader lobes) and lobes with free Fresnel terms (colours that change with incidence).
+    By default their cube roots are combined; the atoms are then single bands of m materials, and a Lambertian. After
+    `in_values`, the values f are combined, because pixels measure sums of light; the atoms then also include powers
+    of the library's bands (broader lobes) and lobes with free Fresnel terms (colours that change with incidence).
 
     Attributes:
-        names: of the materials of the library.
-        coats: names of the other materials: dielectric coats, see `dielectric_coats`.
-        bands: of the library.
-        atom_bands: which of them are atoms, shape (B_s,); atom k * B_s + s is band s of material k.
-        materials: m, in these bands alone.
-        directions: cube roots of bands and Lambertian at the encoding grid, then at some pairs that light a ball,
-            shape (m B_s + 1, P).
-        weights: of these pairs; grid and ball have the same energy, shape (P,).
+        names: names of the materials of the library.
+        coats: names of the other materials, the dielectric coats, see `dielectric_coats`.
+        bands: bands of the library.
+        atom_bands: indices of the bands that are atoms, shape (B_s,); atom k * B_s + s is band s of material k.
+        materials: the m materials, in these bands only.
+        directions: cube roots of the bands and the Lambertian at the encoding grid, then at some direction pairs of a
+            lit sphere, shape (m B_s + 1, P).
+        weights: weights of these direction pairs, which give grid and sphere the same energy, shape (P,).
         grid: the encoding grid.
-        ball: cube roots at all pairs that light a ball in the judged lights, shape (m B_s + 1, P_b).
-        is_linear: whether values are combined, not cube roots.
+        ball: cube roots at all direction pairs of a sphere in the five test lights, shape (m B_s + 1, P_b).
+        is_linear: whether values are combined instead of cube roots.
     """
 
     names: tuple[str, ...]
@@ -102,10 +102,10 @@ class LibraryAtoms:
 
     @classmethod
     def of_library(cls, library: Library | Path | str) -> LibraryAtoms:
-        """Evaluate all materials of a library or of the library at a path, negative values taken for 0.
+        """Evaluate all materials of a library, given itself or by its path; negative values are treated as 0.
 
         Raises:
-            UsageError: there are fewer than three, or more than `MOST_MATERIALS`.
+            UsageError: the library has fewer than three, or more than `MOST_MATERIALS` materials.
             LibraryError: a material cannot be read.
         """
         if not isinstance(library, Library):
@@ -141,40 +141,40 @@ class LibraryAtoms:
 
     @property
     def n_grid(self) -> int:
-        """Return the number of pairs of the grid."""
+        """Return the number of direction pairs of the grid."""
         return len(self.grid.wi)
 
     @property
     def band_axis(self) -> Bands:
-        """The spectral axis of the atoms of one material."""
+        """The bands of the atoms of one material."""
         return self.bands.select(self.atom_bands)
 
     @property
     def in_values(self) -> LibraryAtoms:
-        """Return the materials as atoms of values."""
+        """Return the atoms of the same materials that combine values instead of cube roots."""
         return replace(self, is_linear=True)
 
     @property
     def dictionary(self) -> Dictionary:
-        """Powers of the library's bands, and lobes."""
+        """The dictionary that makes the atoms: powers of the library's bands, and lobes."""
         return DICTIONARY if self.is_linear else LAMBERTIAN
 
     @cached_property
     def material_of(self) -> Indices:
-        """Index of each atom's material, shape (n,); that of lobes is m."""
+        """Index of each atom's material, shape (n,); lobes have the index m."""
         own = np.repeat(np.arange(len(self.materials)), len(self.atom_bands))
         powers = np.tile(own[: self.n_measured], len(self.dictionary.exponents) - 1)
         return np.concatenate([own, powers, np.full(len(self.dictionary.lobes), len(self.materials))])
 
     @property
     def mixed(self) -> Indices:
-        """Atoms of which two are mixed: bands of materials, then the Lambertian, shape (m B_s + 1,)."""
+        """Indices of the atoms that mixtures combine: bands of materials, then the Lambertian, shape (m B_s + 1,)."""
         lambertian = len(self) - len(self.dictionary.lobes)
         return np.append(np.arange(len(self.directions) - 1), lambertian)
 
     @cached_property
     def gram(self) -> Array:
-        """Inner products of atoms, averaged over the grid, shape (n, n)."""
+        """Inner products of the atoms, averaged over the grid, shape (n, n)."""
         roots, weights = self.directions[:, : self.n_grid], self.weights[: self.n_grid]
         return (roots * weights) @ roots.T / self.n_grid
 
@@ -184,13 +184,13 @@ class LibraryAtoms:
         return len(self.names) * len(self.atom_bands)
 
     def usable(self, prior: Array) -> Mask:
-        """Return a mask (n,) of atoms of the library, of coats with some prior weight (B, n), and of the Lambertian."""
+        """Return a mask (n,) of usable atoms: library, coats with prior weight (B, n) above 0, and Lambertian."""
         totals = np.bincount(self.material_of, prior.mean(axis=0))
         totals[: len(self.names)] = totals[-1] = np.inf
         return np.asarray(totals[self.material_of] > _LEAST_COAT)
 
     def index(self, material: int | str) -> int:
-        """Return the index of a material of the library, of its name or its index.
+        """Return the index of a material of the library, given its name or index.
 
         Raises:
             UnknownNameError: there is no such material.
@@ -206,7 +206,7 @@ class LibraryAtoms:
         return int(material)
 
     def without(self, material: int | str) -> LibraryAtoms:
-        """Return the atoms of all materials of the library but one, given by its name or its index.
+        """Return the atoms of all materials of the library except one, given by its name or index.
 
         Raises:
             UnknownNameError: there is no such material.
@@ -224,13 +224,13 @@ class LibraryAtoms:
         return left
 
     def in_atom_bands(self) -> LibraryAtoms:
-        """Return the atoms of a library that has only their bands."""
+        """Return the atoms as those of a library that has only the bands `atom_bands`."""
         same = replace(self, bands=self.band_axis, atom_bands=np.arange(len(self.atom_bands)))
         same.__dict__["gram"] = self.gram
         return same
 
     def at(self, wi: Array, wo: Array) -> Array:
-        """Return atoms at direction pairs (P, 3): cube roots, or f in 1/sr, shape (n, P)."""
+        """Return the atoms at direction pairs (P, 3), as cube roots or as f in 1/sr, shape (n, P)."""
         return self._at(Pairs(wi, wo))
 
     def _at(self, pairs: Pairs) -> Array:
@@ -246,15 +246,15 @@ class LibraryAtoms:
 
     @cached_property
     def on_grid(self) -> Array:
-        """Atoms of values times both cosines at the encoding grid, shape (n, P_g)."""
+        """Atoms times both cosines at the encoding grid, shape (n, P_g); for atoms of values."""
         return self._from_roots(self.directions[:, : self.n_grid], self.grid) * self.grid.cosines
 
     def grid_values(self, weights: Array) -> Array:
-        """Return f of weights (B, n) of atoms of values at the encoding grid, shape (P_g, B)."""
+        """Return the f that weights (B, n) give at the encoding grid, shape (P_g, B); for atoms of values."""
         return np.asarray((weights @ self.on_grid / self.grid.cosines).T)
 
     def grid_products(self, stride: int) -> Array:
-        """Return the inner products of atoms of values over one in `stride` pairs of the grid, shape (n, n)."""
+        """Return the inner products of atoms of values over every `stride`-th pair of the grid, shape (n, n)."""
         kept: dict[int, Array] = self.__dict__.setdefault("_grid_products", {})
         if stride not in kept:
             some = self.on_grid[:, ::stride]
@@ -263,14 +263,14 @@ class LibraryAtoms:
 
     @cached_property
     def on_ball(self) -> Array:
-        """Pixels of a ball in the judged lights, of atoms of values, shape (n, K)."""
+        """Pixels of the atoms' spheres in the five test lights, shape (n, K); for atoms of values."""
         lights = panel.judged()
         return lights.of(self._from_roots(self.ball, lights).T).T
 
     def at_gloss_meters(self, angles_deg: Sequence[float]) -> Array:
         """Return means of atoms over the apertures of gloss meters at G angles, shape (n, G).
 
-        They are cube roots, or f in 1/sr.
+        The means are of f in 1/sr, or are given as their cube roots if cube roots are combined.
         """
         means = np.empty((len(self), len(angles_deg)))
         for k, meter in enumerate(map(gloss_meter, angles_deg)):
@@ -279,7 +279,7 @@ class LibraryAtoms:
         return means
 
     def predicted(self, weights: Array, bands: Bands | None = None) -> PredictedBRDF:
-        """Return the BRDF of weights (B, n) of atoms in some bands, those of the library by default."""
+        """Return the BRDF that weights (B, n) of atoms give in some bands, by default the bands of the library."""
         m, measured = len(self.mixed) - 1, self.n_measured
         powers = range(m, m + (len(self.dictionary.exponents) - 1) * measured, measured)
         no_coats = np.zeros((len(weights), m - measured))
@@ -291,9 +291,9 @@ class LibraryAtoms:
 
 
 def dielectric_coats(bands: Bands) -> dict[str, Plastic]:
-    """Return rough dielectrics over a diffuse base by name, from sharp to dull; only their bases vary with the band.
+    """Return rough dielectrics over a diffuse base, by name, from sharp to dull; only the base varies with the band.
 
-    A mixture of the bands of one coat has a base of any colour under the same Fresnel highlight.
+    A mixture of the bands of one coat can have a base of any colour under the same Fresnel highlight.
     """
     bases = np.linspace(0.0, np.cbrt(_COAT_BASE), bands.count) ** 3
     return {

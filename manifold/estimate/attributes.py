@@ -1,8 +1,8 @@
-"""Materials by attributes: gloss, lightness, chroma and hue.
+"""Changes the gloss, lightness, chroma and hue of materials, and finds materials of a library by these attributes.
 
-A material at a place of a map takes the colour that is asked for; another coat gives it another gloss. Gloss is in
-gloss units (ISO 2813); lightness, chroma and hue are CIELAB's under D65 for the geometry 45/0, light at 45 degrees seen
-along the normal. Materials of a library are found by the same, or by their likeness to another material.
+On a map, the colour of a prediction is changed; the gloss is changed by replacing the coat. Gloss is in gloss units
+(ISO 2813). Lightness, chroma and hue are CIELAB values under D65 in the geometry 45/0, lit at 45 degrees and seen
+along the normal.
 """
 
 from __future__ import annotations
@@ -44,43 +44,43 @@ LEAST_GLOSS = 0.01  # gloss units
 _GREY = 0.2
 _LEAST_REFLECTANCE = 1e-3  # so that black can be tinted
 COLOUR_GEOMETRY = from_spherical(np.pi / 4, 0.0), from_spherical(0.0, 0.0)
-"""Directions of light and eye, (3,), in which colours are measured: 45/0."""
+"""Directions to the light and to the viewer, each (3,), of the geometry 45/0, in which colours are measured."""
 GLOSS_TOLERANCE, COLOUR_TOLERANCE = 0.05, 1.0  # relative; CIEDE2000: beyond them something was not reached
 _JUST_VISIBLE = np.log(1.2)  # difference of log gloss: a fifth more, about as visible as a CIEDE2000 of 1
 
 
 class NotReachedWarning(UserWarning):
-    """A material that is about to be written does not have all attributes that were asked for."""
+    """Warns that a material does not have all requested attributes; it is issued before the file is written."""
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """A requested value, or, if `is_relative`, a value added to that of the given material."""
+    """A requested value of an attribute or, if `is_relative`, a difference from the material's present value."""
 
     value: float
     is_relative: bool = False
 
     @classmethod
     def parse(cls, text: str) -> Wanted:
-        """Parse `30`, `+10` or `-10`; a sign makes it relative."""
+        """Parse `30`, `+10` or `-10`; a sign makes the value relative."""
         if not re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)", text.strip()):
             raise UsageError(f"found '{text}', expected a number such as 30, or +10 or -10 for a change")
         return cls(float(text), text.strip()[0] in "+-")
 
     def of(self, present: float) -> float:
-        """Return the absolute value for a material's present one."""
+        """Return the requested absolute value, given the material's present value."""
         return present + self.value if self.is_relative else self.value
 
 
 @dataclass(frozen=True)
 class Slider:
-    """A slider of the page that searches the map for a value of one attribute.
+    """A slider of the page, which searches the map for a value of one attribute.
 
     Attributes:
-        name: of the attribute, the identifier of its slider; it is not that of a coordinate of the colour.
-        label, unit: beside the slider.
-        decades: decimal logarithms of the values at its ends.
-        meter: of few pairs, on one side of the plane of incidence: wi and wo (P, 3), and units per 1/sr at each (P,).
+        name: identifier of the slider; it must differ from the names of the colour coordinates.
+        label, unit: texts beside the slider.
+        decades: decimal logarithms of the values at the ends of the slider.
+        meter: a coarse measurement on one side of the plane of incidence: wi and wo (P, 3), and units per 1/sr (P,).
     """
 
     name: str
@@ -92,19 +92,20 @@ class Slider:
 
 @dataclass(frozen=True, eq=False)
 class Attribute:
-    """An attribute that a material may be asked to have: how it is measured, when it is possible, and when reached.
+    """An attribute that users can request of a material.
 
     Attributes:
-        key: the name in Python; see `Attributes`.
-        label: in sentences.
-        shown: format of the value in words.
+        key: name of the attribute in Python; see `Attributes`.
+        label: name of the attribute in sentences.
+        shown: format string for the value in texts.
         json: keys that lead to the value in JSON.
-        measure: its value of a BRDF.
-        fault: what is wrong with a requested value; None if it is possible.
-        tolerance: relative difference beyond which it was not reached; colours have `COLOUR_TOLERANCE` together.
-        angle_deg: of gloss, which another coat reaches at any place; None of others.
-        period: values that differ by it are the same.
-        slider: on the page, which has its own for coordinates of the colour; None for none.
+        measure: function that returns the value for a BRDF.
+        fault: function that returns what is wrong with a requested value; None if the value is possible.
+        tolerance: relative difference beyond which a value was not reached; the colour attributes share
+            `COLOUR_TOLERANCE`.
+        angle_deg: angle of a gloss attribute, which is changed by another coat; None for other attributes.
+        period: period of the values; values that differ by it are equal.
+        slider: slider on the page; None if the page has no slider or its own one for it.
     """
 
     key: str
@@ -119,7 +120,7 @@ class Attribute:
     slider: Slider | None = None
 
     def value(self, wanted: Wanted, present: float) -> float:
-        """Return the requested value for a material's present one; an impossible one raises UsageError."""
+        """Return the requested value, given the material's present value. Raises UsageError for an impossible value."""
         value = wanted.of(present)
         if (fault := self.fault(value)) is not None:
             raise UsageError(fault)
@@ -165,16 +166,19 @@ COLOUR = (
     _coordinate("chroma", "C", 0.0, np.inf),
     _coordinate("hue", "h", -np.inf, np.inf, json="hue_deg", period=360.0),
 )
-"""CIELAB's lightness, chroma and hue in degrees, in which order they are coordinates of a colour."""
+"""The attributes of a colour, in the order of its coordinates: CIELAB lightness, chroma, and hue in degrees."""
 ATTRIBUTES = {each.key: each for each in (*map(_gloss, GLOSS_ANGLES_DEG), *COLOUR)}
-"""All attributes by key. Another one needs an entry here, and an option in `cli.options.AttributeOptions`."""
+"""All attributes by key; a new attribute needs an entry here and an option in `cli.options.AttributeOptions`."""
 SLIDERS = tuple(each.slider for each in ATTRIBUTES.values() if each.slider is not None)
-"""Sliders of the page, from the top; materials are searched by words for the first, gloss at 60 degrees."""
+"""Sliders of the page, from the top.
+
+The page also searches for words such as "matte" by the first, gloss at 60 degrees.
+"""
 
 
 @dataclass(frozen=True)
 class Attributes:
-    """The attributes that a material should have, by key of `ATTRIBUTES`; all others keep the present value."""
+    """The requested attributes of a material, by key of `ATTRIBUTES`; all others keep their present value."""
 
     wanted: Mapping[str, Wanted] = field(default_factory=dict)
 
@@ -189,18 +193,18 @@ class Attributes:
 
     @property
     def is_tinted(self) -> bool:
-        """Return whether another colour is wanted."""
+        """Return whether a colour attribute is requested."""
         return any(each.key in self.wanted for each in COLOUR)
 
     def split(self) -> tuple[Attributes, Attributes]:
-        """Return those that are reached on the map and by colours, and gloss, which another coat reaches."""
+        """Return two groups: attributes that another colour reaches, and gloss, which another coat reaches."""
         gloss = {key: wanted for key, wanted in self.wanted.items() if ATTRIBUTES[key].angle_deg is not None}
         return Attributes(
             {key: wanted for key, wanted in self.wanted.items() if key not in gloss}
         ), Attributes(gloss)
 
     def values(self, present: EvaluableBRDF) -> dict[str, float]:
-        """Return the requested values by key for a present material."""
+        """Return the requested absolute values by key, given the present material."""
         return {
             key: ATTRIBUTES[key].value(wanted, ATTRIBUTES[key].measure(present))
             for key, wanted in self.wanted.items()
@@ -208,7 +212,10 @@ class Attributes:
 
     @classmethod
     def parse(cls, options: Mapping[str, str | Iterable[str] | None]) -> Attributes | None:
-        """Parse texts such as `+10` by key, or several such as `60=40` for a key at angles; None if all are missing."""
+        """Parse texts such as `+10` by key, or lists of texts such as `60=40` for gloss.
+
+        Returns None if no attribute is given.
+        """
         wanted: dict[str, Wanted] = {}
         for name, given in options.items():
             if given is None or isinstance(given, str):
@@ -226,12 +233,13 @@ class Attributes:
 
 @dataclass(frozen=True, eq=False)
 class Adjusted:
-    """A material with attributes.
+    """A material that was adjusted to requested attributes.
 
     Attributes:
-        place: where it is on the map, turned as the given one; None of a material whose own values were edited.
-        colours: its colours there, as `Manifold.predict` takes them.
-        asked, reached: values by key of `ATTRIBUTES`, those of its colour among them.
+        place: its place on the map, with the rotation of the given material; None if a material's own values were
+            edited.
+        colours: its colours, as `Manifold.predict` takes them.
+        asked, reached: requested and reached values by key of `ATTRIBUTES`; they include the colour.
     """
 
     place: Place | None
@@ -241,7 +249,7 @@ class Adjusted:
 
     @property
     def difference(self) -> float:
-        """CIEDE2000 between the colours asked for and reached."""
+        """CIEDE2000 between the requested and the reached colour."""
         asked, reached = (
             from_lch(np.array([values[each.key] for each in COLOUR])) for values in (self.asked, self.reached)
         )
@@ -249,14 +257,14 @@ class Adjusted:
 
     @property
     def meters(self) -> list[Attribute]:
-        """The attributes that were asked for, except those of the colour."""
+        """The requested attributes, except those of the colour."""
         return [ATTRIBUTES[key] for key in self.asked if ATTRIBUTES[key] not in COLOUR]
 
     def __str__(self) -> str:
         return ", ".join(each.shown.format(self.reached[each.key]) for each in (*COLOUR, *self.meters))
 
     def reached_by(self, brdf: EvaluableBRDF, asked: Mapping[str, float]) -> Adjusted:
-        """Return the result with a BRDF's attributes, and with others that were requested."""
+        """Return the result with the attributes that a BRDF reaches, and with further requested values."""
         asked = {**self.asked, **asked}
         return replace(self, asked=asked, reached=measured(brdf, asked))
 
@@ -279,7 +287,7 @@ class Adjusted:
         return tuple(shortfalls)
 
     def warn(self) -> None:
-        """Warn of values that could not be reached, before anything is written."""
+        """Issue a warning for values that could not be reached; call it before anything is written."""
         for shortfall in self.shortfalls:
             warnings.warn(shortfall, NotReachedWarning, stacklevel=3)
 
@@ -306,12 +314,12 @@ class Adjusted:
 
 
 def by_angle(values: Mapping[str, float]) -> dict[float, float]:
-    """Return gloss units by angle in degrees, of values by key."""
+    """Return the gloss units among attribute values, by angle in degrees."""
     return {angle: value for key, value in values.items() if (angle := ATTRIBUTES[key].angle_deg) is not None}
 
 
 def measured(brdf: EvaluableBRDF, keys: Iterable[str]) -> dict[str, float]:
-    """Return attributes of a BRDF by key, those of its colour among them."""
+    """Return the requested attributes of a BRDF by key, and always its colour."""
     values = {key: ATTRIBUTES[key].measure(brdf) for key in keys if ATTRIBUTES[key] not in COLOUR}
     return values | {
         each.key: value for each, value in zip(COLOUR, _to_lch(lab_of(brdf)).tolist(), strict=True)
@@ -319,9 +327,9 @@ def measured(brdf: EvaluableBRDF, keys: Iterable[str]) -> dict[str, float]:
 
 
 def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: ColourChoice = NEAREST) -> Adjusted:
-    """Find the colours that have given attributes and are nearest to those of a material at x.
+    """Find the colours that have the requested attributes and are nearest to the colours of a material at x.
 
-    Only a map of blends can change the material's colours. To change gloss, use `coat.with_gloss`.
+    Only a map of blends can change colours. To change the gloss, use `coat.with_gloss`.
 
     >>> adjust(model, "syn_card_brown", Attributes({"hue": Wanted(30.0)}))  # doctest: +SKIP
     """
@@ -344,9 +352,9 @@ def _colours_at(model: Manifold, place: Place, factor: Array) -> Array:
 
 
 def readings_of_colour(lab: Array, gloss: GlossUnits, bands: Bands) -> Readings:
-    """Return a colour (3,), CIELAB under D65 at 45/0, and gloss units by angle, as readings of a material.
+    """Return a colour, CIELAB (3,) under D65 at 45/0, and gloss units by angle, as readings of a material.
 
-    The spectrum is the smoothest of that colour, as colours have no other.
+    The spectrum is the smoothest spectrum of that colour.
     """
     values = factor_of_colour(lab, bands)[None] / np.pi
     name = "L {:.4g}, a {:.4g}, b {:.4g}".format(*lab)
@@ -356,7 +364,7 @@ def readings_of_colour(lab: Array, gloss: GlossUnits, bands: Bands) -> Readings:
 
 
 def lab_of(brdf: EvaluableBRDF) -> Array:
-    """Return the CIELAB (3,) of a BRDF under D65, lit at 45 degrees and seen along the normal."""
+    """Return the CIELAB colour (3,) of a BRDF under D65, lit at 45 degrees and seen along the normal."""
     return lab_of_factor(factor_of(brdf), brdf.bands)
 
 
@@ -366,7 +374,7 @@ def factor_of_colour(lab: Array, bands: Bands) -> Array:
 
 
 def tinted(factor: Array, lab: Array, bands: Bands) -> Array:
-    """Bring a reflectance factor (B,) to a colour (3,) by smooth gains that are as near to 1 as possible."""
+    """Return a reflectance factor (B,) changed to a CIELAB colour (3,), by smooth factors as near to 1 as possible."""
     primaries = np.eye(3) if bands.is_rgb else srgb_spectra(bands)
     base = np.maximum(factor, _LEAST_REFLECTANCE)
 
@@ -380,12 +388,12 @@ def tinted(factor: Array, lab: Array, bands: Bands) -> Array:
 
 
 def factor_of(brdf: EvaluableBRDF) -> Array:
-    """Return the reflectance factor (B,) of the geometry 45/0."""
+    """Return the reflectance factor (B,) of a BRDF in the geometry 45/0."""
     return np.pi * brdf.eval(*COLOUR_GEOMETRY)
 
 
 def lab_of_factor(factor: Array, bands: Bands) -> Array:
-    """Return the CIELAB (3,) under D65 of a reflectance factor (B,)."""
+    """Return the CIELAB colour (3,) of a reflectance factor (B,) under D65."""
     return to_lab(to_xyz(factor, bands), xyz_weights(bands).sum(axis=0))
 
 
@@ -395,22 +403,22 @@ def _to_lch(lab: Array) -> Array:
 
 
 def from_lch(lch: Array) -> Array:
-    """Return CIELAB (3,) of lightness, chroma, and hue in degrees."""
+    """Convert lightness, chroma, and hue in degrees (3,) to CIELAB (3,)."""
     hue = np.deg2rad(lch[2])
     return np.array([lch[0], lch[1] * np.cos(hue), lch[1] * np.sin(hue)])
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """A measured material beside the one that was searched for.
+    """A material of a library, and how it differs from the requested colour, gloss or material.
 
     Attributes:
         lab: its CIELAB colour in the geometry 45/0, shape (3,).
         gloss: its gloss units by angle in degrees.
-        ciede2000: CIEDE2000 from the wanted colour or material; None if neither was given.
-        light: light in which `ciede2000` is computed; None if `ciede2000` is None.
-        distance: root of the summed squares of CIEDE2000 and of gloss in just visible steps; from a material, the
-            CIEDE2000 between both.
+        ciede2000: CIEDE2000 from the requested colour or material; None if neither was given.
+        light: name of the light in which `ciede2000` is computed; None if `ciede2000` is None.
+        distance: root of the summed squares of CIEDE2000 and of the gloss differences in just visible steps; if a
+            material was given, `ciede2000`.
     """
 
     name: str
@@ -432,11 +440,14 @@ def find(
     lab: ArrayLike | None = None,
     gloss: GlossUnits = NO_GLOSS,
 ) -> list[Found]:
-    """Return a library's materials, ordered by their resemblance to another, or to a colour and gloss.
+    """Return a library's materials, ordered by their similarity to a material, or to a colour and gloss.
 
-    BRDFs are compared as balls in the judged lights of `colour.panel`; readings at their geometries, in which case
-    materials without gloss near it may be listed. `lab` is in the geometry 45/0 under D65, shape (3,), None for any;
-    gloss is in units by angle, 20, 60 or 85 degrees.
+    Args:
+        library: the library to search.
+        material: a BRDF, which is compared as a sphere in the five test lights; or readings, which are compared at
+            their geometries.
+        lab: CIELAB colour in the geometry 45/0 under D65, shape (3,); None for any colour.
+        gloss: gloss units by angle: 20, 60 or 85 degrees.
     """
     differs = None if material is None else _difference_from(material)
     light = None if lab is None else f"{DAYLIGHT}, 45/0"

@@ -1,4 +1,4 @@
-"""The three channels of a camera and the bands of a material, each from the other."""
+"""Converts between the three channels of a camera and the bands of a material."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ _VIEWS_DEG = ((45.0, 0.0), (30.0, -50.0), (60.0, 10.0))  # incidence and viewing
 
 
 class Channels(NamedTuple):
-    """The channels of a camera, and the bands of a material.
+    """The matrices that convert between the channels of a camera and the bands of a material.
 
     Attributes:
-        responses: to reflectances in the bands of a library under D65, shape (3, B_l).
-        to_bands: from channels to the bands of the material, shape (B, 3).
+        responses: channels of reflectances in the bands of a library under D65, shape (3, B_l).
+        to_bands: bands of the material estimated from the channels, shape (B, 3).
     """
 
     responses: Array
@@ -39,24 +39,24 @@ class Channels(NamedTuple):
 
     @classmethod
     def of_library(cls, library: Library, names: tuple[str, ...], file: Path | None = None) -> Channels:
-        """Return the channels of a camera whose sensitivities a file has, by default of linear sRGB.
+        """Return the channels of a camera, from a file of its sensitivities, or by default those of linear sRGB.
 
-        Bands are those of the library, estimated from its named materials (`band_matrix`).
+        The bands of the library are estimated from the channels by its named materials (`band_matrix`).
         """
         responses = srgb_responses(library.bands) if file is None else read_responses(file, library.bands)
         return cls(responses, band_matrix(library, names, responses))
 
     @classmethod
     def srgb(cls, bands: Bands) -> Channels:
-        """Return the channels of linear sRGB, and bands estimated from measured reflectances."""
+        """Return the channels of linear sRGB, with a conversion to bands learned from measured reflectances."""
         responses = srgb_responses(bands)
         return cls(responses, np.eye(3) if bands.is_rgb else wiener_matrix(_measured(bands), responses))
 
     def beside(self, readings: Readings, of_library: Bands) -> tuple[Readings, Channels]:
-        """Return readings in these channels, and the channels with the bands that `evidence.bands_of` says.
+        """Return readings converted to these channels, and the channels with a matrix to the bands of the completion.
 
-        The matrix to these reproduces the spectra of the readings from their channels as closely as its prior allows:
-        with an RGB library the Wiener estimate of their bands, with a spectral one that of the library's.
+        The bands are those of `evidence.bands_of`. The matrix reproduces the spectra of the readings from their
+        channels as closely as its prior allows, the Wiener estimate of these bands.
         """
         read_nm, (responses, prior) = readings.wavelengths_nm, self
         if read_nm is None:
@@ -76,7 +76,7 @@ class Channels(NamedTuple):
 
 
 def srgb_responses(bands: Bands) -> Array:
-    """Return responses (3, B) of linear sRGB to reflectances in B bands under D65; the identity for RGB bands."""
+    """Return the responses (3, B) of linear sRGB to reflectances in B bands under D65; the identity for RGB bands."""
     return np.eye(3) if bands.is_rgb else xyz_to_srgb(xyz_weights(bands)).T
 
 
@@ -95,16 +95,18 @@ def read_responses(path: Path, bands: Bands) -> Array:
     seen *= Illuminant.named("D65").at(nodes)[:, None]
     responses = interpolation_matrix(np.asarray(bands.wavelengths_nm), nodes).T @ seen
     if not np.all(responses.sum(axis=0) > 0.0):
-        raise FileFormatError(f"{path}: a channel sees nothing of {bands}, expected sensitivities above 0")
+        raise FileFormatError(
+            f"{path}: a channel has no sensitivity in {bands}, expected sensitivities above 0"
+        )
     return np.asarray((responses / responses.sum(axis=0)).T)
 
 
 def band_matrix(library: Library, names: tuple[str, ...], responses: Array) -> Array:
     """Return the matrix (B, 3) from channels of a camera to the bands of a library, by Wiener estimation.
 
-    Deviations from a flat spectrum are linear in those of the channels, both relative to the mean of these: a neutral
-    colour stays neutral. Learned from the library's named materials, off their highlights, and from measured
-    reflectances; for responses see `srgb_responses`.
+    The matrix is learned from the library's named materials, away from their highlights, and from measured
+    reflectances. It estimates the deviation from a flat spectrum, so that a neutral colour stays neutral. For
+    `responses` see `srgb_responses`.
 
     Source: Haneishi et al. 2000, "System design for accurately estimating the spectral reflectance of art paintings".
     """
@@ -135,7 +137,10 @@ def _of_materials(library: Library, names: tuple[str, ...]) -> Array:
 
 
 def in_channels(readings: Readings, responses: Array) -> Readings:
-    """Return spectra as a camera of some responses (3, B) to their bands sees them; RGB readings as they are."""
+    """Return spectral readings converted to a camera's channels by its responses (3, B).
+
+    RGB readings stay as they are.
+    """
     nm = readings.wavelengths_nm
     if nm is None:
         return readings

@@ -1,7 +1,7 @@
-"""A colour and its gloss as a material: a rough dielectric coat over a Lambertian base, which reaches both.
+"""Makes a material of a colour and a gloss: a rough dielectric coat over a Lambertian base.
 
-A colour and gloss alone leave everything else open; most of what has both measured are paints, plastics and prints.
-A measured material takes another gloss likewise: its coat is exchanged, and what lies below stays as it is.
+A colour and a gloss do not determine a BRDF; most materials for which both are measured are paints, plastics and
+prints. To change the gloss of a measured material, its coat is replaced, and the base below stays as it is.
 """
 
 from __future__ import annotations
@@ -81,23 +81,24 @@ class ColourSample:
     gloss: GlossUnits
 
     def made_of(self) -> dict[str, Any]:
-        """Return all that the content depends on, as plain values."""
+        """Return everything that the content depends on, as plain values."""
         return {"lab": list(self.lab), "gloss": {f"{angle:g}": units for angle, units in self.gloss.items()}}
 
 
 @dataclass(frozen=True, eq=False)
 class Coated(Result):
-    """A coat over a Lambertian, as written.
+    """A coat over a Lambertian base that was written to a file.
 
     Attributes:
-        sample: what was asked for.
+        sample: the requested colour and gloss.
         alpha, index: roughness and refractive index of the coat.
-        lab: of the written file, (3,).
-        gloss: of the written file, gloss units by angle in degrees.
-        expected: expected errors of what the colour and gloss leave open, and of a colour that was not reached.
-        plausibility: of the written file, read back.
-        suggested: the readings to take next; None where none were asked for.
-        diagnostics: what a user should know, in sentences.
+        lab: CIELAB colour of the written file, shape (3,).
+        gloss: gloss units of the written file by angle in degrees.
+        expected: expected errors, because a colour and gloss do not determine the BRDF, and because the colour may
+            not be reached.
+        plausibility: physical plausibility of the written file.
+        suggested: the readings to take next; None if none were requested.
+        diagnostics: sentences that a user should read.
     """
 
     path: Path = field(metadata=entry())
@@ -157,7 +158,10 @@ class Coated(Result):
 
     @property
     def missed_in_words(self) -> list[str]:
-        """The colour and the gloss values that were not reached, in words; expected errors do not cover the gloss."""
+        """Return texts about the colour and the gloss values that were not reached.
+
+        Expected errors do not cover the gloss.
+        """
         off = [f"the colour, by CIEDE2000 {self.ciede2000:.1f} (D65)"] * (self.ciede2000 > COLOUR_TOLERANCE)
         off += [
             f"gloss at {angle:g} degrees ({self.gloss[angle]:.3g} instead of {asked:.3g})"
@@ -168,16 +172,15 @@ class Coated(Result):
     @property
     @derived()
     def ciede2000(self) -> float:
-        """CIEDE2000 between the colours asked for and written."""
+        """CIEDE2000 between the requested and the written colour."""
         return float(delta_e_2000_lab(np.array(self.sample.lab), self.lab))
 
 
 def coat_of(lab: Array, gloss: GlossUnits, bands: Bands) -> tuple[Plastic, float]:
-    """Return the coat over a Lambertian nearest to a colour and gloss units by angle, and its alpha.
+    """Return the coat over a Lambertian base that is nearest to a colour and to gloss units by angle, and its alpha.
 
-    The colour is CIELAB at 45/0 under D65, (3,).
-
-    Its index stays near 1.5 unless the gloss asks for another.
+    The colour is CIELAB (3,) at 45/0 under D65. The refractive index stays near 1.5 unless the gloss requires
+    another.
     """
     target = factor_of_colour(lab, bands)
 
@@ -189,7 +192,7 @@ def coat_of(lab: Array, gloss: GlossUnits, bands: Bands) -> tuple[Plastic, float
 
 
 def gloss_misfits(units: Array, wanted: GlossUnits) -> Array:
-    """Return differences of logarithms from the wanted gloss units (G,), divided by the tolerance."""
+    """Return the logarithmic differences from the requested gloss units (G,), divided by the tolerance."""
     logs = [np.log(np.maximum(some, LEAST_GLOSS)) for some in (units, list(wanted.values()))]
     return np.asarray((logs[0] - logs[1]) / _ROUNDING)
 
@@ -197,10 +200,14 @@ def gloss_misfits(units: Array, wanted: GlossUnits) -> Array:
 def nearest_coat(
     below: Callable[[Array], Array], bands: Bands, off: Callable[[Plastic], Array], index: float = _INDEX
 ) -> tuple[Plastic, float]:
-    """Find the coat over a Lambertian with the least sum of squares of residuals `off` (n,), and its alpha.
+    """Find the coat over a Lambertian base that minimises the sum of squared residuals; return it with its alpha.
 
-    Of its reflectance factor at 45/0, `below` says by the part of the surface (B,) what comes from the base (B,); the
-    nearest base from 0 to 1 is taken. Its refractive index stays near `index`.
+    Args:
+        below: function of the surface's share of the reflectance factor at 45/0, (B,), that returns the share that
+            the base must contribute, (B,). The base's reflectance is limited to 0 to 1.
+        bands: bands of the coat.
+        off: function that returns the residuals (n,) of a coat.
+        index: refractive index near which the index of the coat stays.
     """
 
     def coat(x: Array) -> Plastic:
@@ -229,10 +236,16 @@ def complete(
     instrument: str | None = None,
     options: OutputOptions = COMPLETION_OPTIONS,
 ) -> Coated:
-    """Write a coat over a Lambertian of a colour and gloss as an RGL file, whose name becomes the material's.
+    """Write an RGL file of a coat over a Lambertian base with a colour and gloss; the material is named after the file.
 
-    The library has the bands of the file, and the materials on which the expected error is measured; `picture` is of
-    the ball. `count` directions, of an instrument or of any, are suggested to be read next.
+    Args:
+        library: library whose bands the file has, and on whose materials the expected error is measured.
+        sample: the colour and gloss.
+        output: the `.bsdf` file to write.
+        picture: file for a picture of the rendered sphere; None renders none.
+        count: number of directions to suggest for the next readings.
+        instrument: instrument whose directions are suggested; None allows any direction.
+        options: options of the file.
     """
     start = time.perf_counter()
     require_bsdf_output(output)
@@ -275,7 +288,7 @@ def complete(
 
 
 def missed_gloss(sample: ColourSample, gloss: GlossUnits) -> dict[float, float]:
-    """Return the requested gloss units that were not reached, by angle in degrees."""
+    """Return the requested gloss units that a file's gloss did not reach, by angle in degrees."""
     return {
         angle: asked
         for angle, asked in sample.gloss.items()
@@ -288,12 +301,12 @@ def _missed(sample: ColourSample, lab: Array, gloss: GlossUnits) -> list[str]:
     missed = missed_gloss(sample, gloss)
     is_more = [gloss[angle] > asked for angle, asked in missed.items()]
     if any(is_more) and len(sample.gloss) > 1:
-        why = "no coat has all of these gloss values: they contradict each other"
+        why = "these gloss values contradict each other: no coat has all of them"
     elif any(is_more):
-        why = "every coat of this colour has more; --mixture looks among the library's materials"
+        why = "every coat of this colour has more; --mixture searches the library's materials"
     else:
         why = (
-            "no dielectric coat of this colour has it: metals have more, and --mixture looks among the library's "
+            "dielectric coats of this colour have less, metals may have more; --mixture searches the library's "
             "materials"
         )
     notes = [
@@ -312,7 +325,10 @@ def _missed(sample: ColourSample, lab: Array, gloss: GlossUnits) -> list[str]:
 
 
 def expected_errors(atoms: LibraryAtoms, angles_deg: tuple[float, ...], library: Library) -> Errors[float]:
-    """Return errors of coats with the colour and gloss of a library's materials; cached in the library."""
+    """Return the expected errors of a coat: errors of coats with the colour and gloss of a library's materials.
+
+    They are cached in the library.
+    """
     axes = (CALIBRATION_VERSION, library.content_hash, atoms.names, angles_deg)
     key = hashlib.sha256(f"coats {axes}".encode()).hexdigest()
     return cached(library, key, lambda: _calibrated(atoms, angles_deg)).errors.over(typical)
@@ -334,14 +350,18 @@ _EXPECTED = "expected name, L, a, b, such as red,50,60,40, or a header that name
 
 
 def read_colours(path: Path, gloss: GlossUnits, viewing: Viewing | None = None) -> list[ColourSample]:
-    """Read the colours of a text or CSV file, of which a line is `[name] L a b`.
+    """Read the colours of a text or CSV file with lines `[name] L a b`.
 
-    A header may order the columns (`name`, `L`, `a`, `b`) and name their light and observer (`L* (D50/2)`); a comment
-    may name them as well. A header may add gloss (`gloss_60`), which replaces `gloss`, that of all samples in units by
-    angle in degrees. `viewing` is that of lists which name none, by default D65/2.
+    A header may order the columns (`name`, `L`, `a`, `b`), name the light and observer (`L* (D50/2)`, also allowed in
+    a comment), and add columns of gloss (`gloss_60`).
+
+    Args:
+        path: the file.
+        gloss: gloss units by angle in degrees, for all samples without a gloss column.
+        viewing: light and observer of a file that names none; None means D65/2.
 
     Raises:
-        FileFormatError: a line is no colour, or a name comes twice.
+        FileFormatError: a line is not a colour, or a name occurs twice.
         UsageError: the header, or a comment, names another light or observer than `viewing`.
     """
     text = decode(disk.read_bytes(path, advice="name a text of lines of name, L, a, b", most=disk.MOST_TEXT))
@@ -403,7 +423,7 @@ def _number(path: Path, line: int, cell: str) -> float:
 
 
 class RecoatedBRDF(WrappedBRDF):
-    """A BRDF whose coat is exchanged for another, see `exchanged`."""
+    """A BRDF whose coat is replaced by another, see `exchanged`."""
 
     def __init__(self, brdf: BRDF, old: Plastic, new: Plastic, strength: Array, tint: Array | float = 1.0):
         """Exchange coats over a Lambertian; the highlight is `strength` (B,) times the old coat's.
@@ -428,11 +448,11 @@ def _parts(coat: Plastic, wi: Array, wo: Array) -> tuple[Array, Array]:
 
 
 def exchanged(f: Array, old: tuple[Array, Array], new: tuple[Array, Array], strength: Array) -> Array:
-    """Return values f >= 0 of a material with a new coat instead of an old one, in 1/sr, shape (..., B).
+    """Return the values f >= 0 of a material whose old coat is replaced by a new one, in 1/sr, shape (..., B).
 
-    The part of f that the old coat's base explains is scaled by the ratio of the bases. The rest, the highlight,
-    changes with the surface: it is taken away in proportion, and added as strongly, at most `strength` (B,) >= 1, as
-    the material's highlight is to the old coat's, so that a metal's stays coloured. For coats see `_parts`.
+    The part of f that the old coat's base explains is scaled by the ratio of the two bases. The rest, the highlight,
+    is replaced by the new coat's highlight, multiplied by the ratio of the material's highlight to the old coat's, up
+    to `strength` (B,) >= 1; the highlight of a metal therefore stays coloured. For coats see `_parts`.
     """
     above, share = _highlight(f, old, new[0], strength)
     return np.asarray(above + share * new[1])
@@ -451,9 +471,10 @@ def _highlight(
 
 
 def with_gloss(brdf: BRDF, gloss: GlossUnits) -> RecoatedBRDF:
-    """Return a material with a coat of other gloss units above 0 by angle in degrees, and its old colour at 45/0.
+    """Return a material with another coat, which gives it other gloss units (> 0) by angle in degrees.
 
-    The present coat is the one over a Lambertian that has the material's gloss at 20, 60 and 85 degrees.
+    Its colour at 45/0 does not change. The coat that is replaced is the coat over a Lambertian base with the
+    material's gloss at 20, 60 and 85 degrees.
     """
     bands, meters = brdf.bands, [gloss_meter(angle) for angle in gloss]
     old, _ = coat_of(lab_of(brdf), gloss_units(brdf, GLOSS_ANGLES_DEG), bands)
@@ -483,10 +504,10 @@ def with_gloss(brdf: BRDF, gloss: GlossUnits) -> RecoatedBRDF:
 
 
 def with_factor(brdf: BRDF, factor: Array, meter: Picture) -> RecoatedBRDF:
-    """Return a material of another reflectance factor (B,) in a measurement of one sum, and its old surface.
+    """Return a material with another reflectance factor (B,), as `meter` measures it, and the same surface.
 
-    What lies below the coat changes. The highlight changes in so far as it reflects more light than any dielectric
-    coat, as a metal's does, which has the metal's colour.
+    The base below the coat changes. The highlight changes only if it reflects more light than any dielectric coat, as
+    the coloured highlight of a metal does.
     """
     bands = brdf.bands
     old, _ = coat_of(lab_of(brdf), gloss_units(brdf, GLOSS_ANGLES_DEG), bands)

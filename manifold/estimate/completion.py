@@ -1,4 +1,4 @@
-"""A material completed from observations: its BRDF, composition and uncertainty."""
+"""The completion of a material from observations: its BRDF, composition and uncertainty."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _NEAR_MIRROR_DEG = 5.0  # from a mirror direction, where readings measure all bu
 _GLOSS_MISSED = 0.1  # relative error of cube roots above which gloss is not met
 _UNEXPLAINED = 0.2  # residual of mixtures
 NOISY = 0.03
-"""Residual that the noise of pictures can make."""
+"""Residual that noise of photographs can cause."""
 
 _MUCH_DARKER = 4.0  # ratio of f; black materials of the library are within a factor of three of each other
 _MUCH_LESS = 0.7  # share of a residual
@@ -56,11 +56,11 @@ class Alternative:
     """A mixture of materials that explains the observations.
 
     Attributes:
-        like: names of its materials, and their weights.
-        probability: of it and of mixtures that look alike.
-        misfit: relative error of the mean over bands at the readings, or of the pixels, before the combination is
-            adjusted to these, of it and of those that look alike: root mean square.
-        difference: relative difference from the mean of all mixtures, in cube roots on the ball.
+        like: names and weights of its materials.
+        probability: posterior probability of this mixture and of all mixtures that look like it.
+        misfit: relative error at the readings (mean over bands) or of the pixels, before the mixture is adjusted to
+            them; root mean square over this mixture and those that look like it.
+        difference: relative difference of cube roots on the sphere from the mean of all mixtures.
     """
 
     like: tuple[tuple[str, float], ...]
@@ -71,14 +71,15 @@ class Alternative:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Completion:
-    """A material completed from readings, gloss and pictures, with the materials of a library as prior.
+    """The completion of a material from readings, gloss and pictures, with the materials of a library as prior.
 
     Attributes:
-        atoms: of the library; of values if there are pictures.
-        evidence: what was observed.
-        solution: how atoms explain it, in the bands of the readings or the channels of the camera.
-        written: BRDF of the written file, for which the errors hold; None if they hold for the completion itself.
-        expected: expected errors, as `complete_readings` adds them; None from `of`, see `calibrate`.
+        atoms: atoms of the library; they combine values if there are pictures.
+        evidence: the observations.
+        solution: weights of the atoms that explain the observations, in the bands of the readings or the channels of
+            the camera.
+        written: BRDF of the written file, to which the errors refer; None if they refer to the completion itself.
+        expected: expected errors, from `complete_readings`; None from `of`, see `calibrate`.
     """
 
     atoms: LibraryAtoms
@@ -98,20 +99,20 @@ class Completion:
         channels: Channels | None = None,
         usable: Mask | None = None,
     ) -> Completion:
-        """Complete observations of a material to all directions.
+        """Complete the observations of a material to a BRDF for all directions.
 
         Args:
-            atoms: of the library; of values if there are pictures.
-            seen: readings; or pictures by one camera, readings and gloss by angle together; or these as evidence.
-            exposure: of pictures, relative to the light; None finds the one that the library's materials, and what else
-                was observed, make most probable.
-            each: whether every picture has its own exposure about this one.
-            channels: of the camera, if there are pictures; by default those of linear sRGB.
-            usable: atoms that are used, shape (n,); by default all.
+            atoms: atoms of the library, which combine values if there are pictures.
+            seen: readings; or a list of pictures by one camera, readings, and gloss by angle; or an `Evidence`.
+            exposure: exposure of the pictures relative to the light; None estimates the exposure that is most
+                probable given the library's materials and the other observations.
+            each: whether every picture has its own exposure, which varies about the common one.
+            channels: channels of the camera, if there are pictures; None means linear sRGB.
+            usable: mask of the atoms that may be used, shape (n,); None uses all.
 
         Raises:
-            BandMismatchError: the bands of readings and library do not go together.
-            UsageError: no reading is left, or all are zero, or there are neither readings nor pictures.
+            BandMismatchError: the bands of the readings and the library cannot be combined.
+            UsageError: there are neither readings nor pictures, no reading can be used, or all readings are zero.
         """
         if not isinstance(seen, Evidence):
             seen = [seen] if isinstance(seen, Readings) else seen
@@ -120,7 +121,7 @@ class Completion:
         return cls(atoms, solution.evidence, solution)
 
     def as_written(self, brdf: BRDF) -> Completion:
-        """Return the completion with the errors of a file that it was written to."""
+        """Return the completion with its errors referring to a written file, given the file's BRDF."""
         written = replace(self, written=brdf)
         if "without" in vars(self):  # solutions do not depend on the file
             vars(written)["without"] = self.without
@@ -132,13 +133,13 @@ class Completion:
 
     @property
     def readings(self) -> Readings:
-        """The readings, in the bands that were compared or, beside pictures, in their own."""
+        """The readings, in the bands in which they were compared or, if there are pictures, in their own bands."""
         assert self.evidence.readings is not None, "the material was completed without readings"
         return self.evidence.readings
 
     @property
     def bands(self) -> Bands:
-        """The spectral axis: that of the library, or of spectra that an RGB library completes."""
+        """The bands of the completion: those of the library, or those of spectra that an RGB library completes."""
         readings = self.evidence.readings
         return self.atoms.bands if readings is None else bands_of(readings, self.atoms.bands)
 
@@ -151,7 +152,7 @@ class Completion:
 
     @cached_property
     def factors(self) -> ResidualFactors | None:
-        """Factors of cube roots near the readings, in all bands; None beside pictures."""
+        """Factors that correct cube roots near the readings, in all bands; None if there are pictures."""
         factors = self.solution.factors
         if factors is None:
             return None
@@ -159,20 +160,26 @@ class Completion:
 
     @cached_property
     def brdf(self) -> BRDF:
-        """The completed BRDF; from pictures slightly negative in spectral bands where colours are saturated."""
+        """The completed BRDF.
+
+        If it comes from pictures, spectral bands of saturated colours may be slightly negative.
+        """
         combined = self.atoms.predicted(self.weights, self.bands)
         return combined if self.factors is None else AdjustedBRDF(combined, self.factors)
 
     @cached_property
     def on_grid(self) -> Array:
-        """Values f at the encoding grid, shape (P_g, B); of atoms of values in the channels of the camera."""
+        """Values f at the encoding grid, shape (P_g, B); if there are pictures, B is the camera's channels."""
         if self.atoms.is_linear:
             return self.atoms.grid_values(self.solution.weights)
         return self._at(self.atoms.directions[:, : self.atoms.n_grid], grid_coordinates())
 
     @cached_property
     def on_ball(self) -> Array:
-        """Values f at all pairs that light a ball, shape (P_b, B); of atoms of values its pixels, (K, 3)."""
+        """Values f at all direction pairs of a lit sphere, shape (P_b, B).
+
+        If there are pictures, they are the sphere's pixels (K, 3) instead.
+        """
         if self.atoms.is_linear:
             return (self.solution.weights @ self.atoms.on_ball).T
         return self._at(self.atoms.ball, ball_coordinates())
@@ -186,7 +193,7 @@ class Completion:
 
     @cached_property
     def predicted(self) -> Array:
-        """Values f at the readings in their bands, of the file if it is written, shape (P, B_r)."""
+        """Values f of the completion, or of the written file, at the readings and in their bands, shape (P, B_r)."""
         read, solution, at = self.readings, self.solution, self.evidence.at
         if self.written is None and solution.factors is not None and at is not None:
             return np.asarray(
@@ -217,9 +224,9 @@ class Completion:
 
     @cached_property
     def misfits(self) -> Array:
-        """Relative error of cube roots at every reading over its bands, of dark ones to a tenth of the mean, (P,).
+        """Relative cube-root error at every reading, over its bands, shape (P,).
 
-        What repeated readings scatter is part of it.
+        Errors of dark readings are relative to a tenth of the mean. The scatter of repeated readings is included.
         """
         is_read = self.readings.measured
         read = np.cbrt(np.maximum(np.where(is_read, self.readings.values, 0.0), 0.0))
@@ -230,17 +237,23 @@ class Completion:
 
     @cached_property
     def colour_misfits(self) -> Array | None:
-        """CIEDE2000 (see `viewing`) between every reading and the completion there, (P,); None without colours."""
+        """CIEDE2000 between every reading and the completion there, shape (P,), computed for `viewing`.
+
+        It is None if the readings have no colours.
+        """
         return None if self.colours is None else delta_e_2000_lab(*self.colours)
 
     @property
     def viewing(self) -> Viewing:
-        """Light and observer of `colours`."""
+        """Light and observer for which `colours` are computed."""
         return DAYLIGHT if self.readings.bands.is_rgb else self.readings.viewing
 
     @cached_property
     def colours(self) -> tuple[Array, Array] | None:
-        """CIELAB of the readings and of the completion there, see `viewing`, (P, 3) each; None without colours."""
+        """CIELAB colours of the readings and of the completion there, each (P, 3).
+
+        They are computed for `viewing`, and None if the readings have no colours.
+        """
         bands = self.readings.bands
         if bands.count < 3 or ((nm := bands.wavelengths_nm) is not None and not nm[0] < _VISIBLE_NM < nm[-1]):
             return None
@@ -249,13 +262,13 @@ class Completion:
 
     @cached_property
     def residual_of_readings(self) -> float:
-        """Root mean square of the relative errors of readings, or that of gloss if it is larger."""
+        """Root mean square of the relative errors of the readings, or of the gloss if that is larger."""
         of_readings = [] if self.evidence.readings is None else [float(np.sqrt(np.mean(self.misfits**2)))]
         return max(*of_readings, *self.gloss_misfits.values(), 0.0)
 
     @cached_property
     def colour_error(self) -> float:
-        """Expected CIEDE2000 of spectra that were estimated, and of the lightness of readings that were repeated."""
+        """Expected CIEDE2000 due to estimated spectra, and to the scatter of lightness in repeated readings."""
         read = self.evidence.readings
         if read is None or self.evidence.pictures:
             return 0.0
@@ -267,7 +280,7 @@ class Completion:
 
     @property
     def exposures(self) -> Array:
-        """By which factor each picture is brighter than light and material predict, shape (P,)."""
+        """Factor by which each picture is brighter than its light and the material predict, shape (P,)."""
         return self.solution.exposures
 
     @property
@@ -277,9 +290,9 @@ class Completion:
 
     @cached_property
     def picture_errors(self) -> tuple[float, ...]:
-        """Relative errors of the cube roots of every picture if the other observations predict it.
+        """Relative cube-root error of every picture when it is predicted from the other observations.
 
-        Exposures are known then, but for that of the picture. There are none of a single picture.
+        The exposures of the other pictures are then treated as known. Empty for a single picture.
         """
         pictures = self.exposed.pictures
         if len(pictures) <= 1:
@@ -293,22 +306,22 @@ class Completion:
 
     @property
     def is_brightness_guessed(self) -> bool:
-        """Whether only the library says how bright the material is: exposures are unknown, and nothing was read."""
+        """Whether only the library determines the brightness: exposures are unknown, and there are no readings."""
         seen = self.evidence
         return seen.exposure is None and not seen.of_readings and not seen.of_gloss
 
     @property
     def exposed(self) -> Evidence:
-        """The evidence with the exposures of pictures divided out; unknown ones stay unknown."""
+        """The evidence with the pictures divided by their exposures; an unknown exposure stays unknown."""
         return self.evidence.exposed(self.exposures)
 
     # -- what each observation says ------------------------------------------------------------------------------------
 
     @cached_property
     def without(self) -> dict[str, Completion]:
-        """Completions without one observation each, by its name; none if there is a single one.
+        """Completions that each leave out one observation, by its name; empty if there is only one observation.
 
-        Exposures are known without a picture.
+        The exposures are treated as known.
         """
         seen, readings = self.evidence, self.evidence.readings
         known, n, atoms = (
@@ -333,7 +346,7 @@ class Completion:
 
     @cached_property
     def contributions(self) -> dict[str, float]:
-        """Mean CIEDE2000 of the ball in the judged lights between this and the completion without an observation.
+        """Mean CIEDE2000 over a sphere by which each observation changes the completion, by name.
 
         Source: Cook 1977, "Detection of influential observation in linear regression" (deletion of each).
         """
@@ -344,7 +357,7 @@ class Completion:
 
     @cached_property
     def ball_xyz(self) -> Array:
-        """CIE XYZ of the pixels of the ball in the judged lights, as `Picture.xyz` has them, shape (K, 3)."""
+        """CIE XYZ values (K, 3) of the sphere's pixels in the five test lights, in the order of `Picture.xyz`."""
         if self.atoms.is_linear:
             return srgb_to_xyz(np.clip(self.on_ball, 0.0, 1.0))
         return panel.judged().xyz(self.on_ball, self.bands)
@@ -353,20 +366,20 @@ class Completion:
 
     @cached_property
     def residual(self) -> float:
-        """Relative error of the observations in cube roots; if there are pictures, of all pixels and readings.
+        """Relative cube-root error of the observations.
 
-        That of readings alone is of the completion, root mean square, or of the mixtures that it was made from if they
-        differ more from what was read.
+        If there are pictures, it covers all pixels and readings. Otherwise it is the root mean square over the
+        readings, of the completion or of the mixtures from which it was made, whichever is larger.
         """
         if self.evidence.pictures:
             return float(np.sqrt(np.mean(self.solution.errors**2)))
         return max(self.residual_of_readings, self.residual_of_mixtures)
 
     def factors_at(self, wi: Array, wo: Array) -> Array:
-        """Return factors within which f at direction pairs (P, 3) is right, with a probability of 0.9: (P,).
+        """Return the factors (P,) within which f at direction pairs (P, 3) is right with a probability of 0.9.
 
-        They are those of the materials that explain the observations about as well, see `mixtures.Alike`, in the mean
-        over bands, or the mean of those of channels.
+        They cover the materials that explain the observations about as well, see `mixtures.Alike`, averaged over the
+        bands or the channels.
         """
         at, logs = self.atoms.at(wi, wo), []
         if self.atoms.is_linear:
@@ -382,7 +395,7 @@ class Completion:
 
     @cached_property
     def residual_of_mixtures(self) -> float:
-        """Relative error of mixtures before they are adjusted: of the mean over bands at the readings, or of pixels."""
+        """Relative error of the mixtures before adjustment, at the readings (mean over bands) or of the pixels."""
         return float(np.sqrt(self._mixtures[0] @ self._squared_misfits))
 
     @cached_property
@@ -405,7 +418,7 @@ class Completion:
 
     @cached_property
     def alternatives(self) -> tuple[Alternative, ...]:
-        """Mixtures that look different from each other on the ball, most probable first."""
+        """Mixtures that differ visibly from each other on a sphere, most probable first."""
         probability, weights = self._mixtures
         order = np.argsort(-probability, kind="stable")
         probability, weights, squares = probability[order], weights[order], self._squared_misfits[order]
@@ -438,7 +451,10 @@ class Completion:
 
     @property
     def made_of(self) -> tuple[tuple[str, float], ...]:
-        """The materials of the completion and their weights, or shares of the light of the ball; largest first."""
+        """Names of the completion's materials with their weights or, from pictures, shares of the sphere's light.
+
+        The list begins with the largest.
+        """
         weights = self.solution.weights if self.atoms.is_linear else self.weights
         return self._materials(weights.mean(axis=0))
 
@@ -460,11 +476,11 @@ class Completion:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences on the observations, and on directions, bands and highlights that they leave open."""
+        """Sentences about the observations, and about directions, bands and highlights that they do not determine."""
         read = self.evidence.readings
         of_gloss = [
-            f"gloss at {angle:g} degrees is not reproduced: {self.gloss[angle]:.3g} units, "
-            f"{self.evidence.gloss[angle]:.3g} read; no combination reproduces both it and the other observations"
+            f"gloss at {angle:g} degrees is not reproduced: {self.gloss[angle]:.3g} units "
+            f"instead of {self.evidence.gloss[angle]:.3g}; no combination reproduces both it and the other observations"
             for angle, misfit in self.gloss_misfits.items()
             if misfit > _GLOSS_MISSED
         ]
@@ -482,7 +498,10 @@ class Completion:
 
     @cached_property
     def times_darker(self) -> float:
-        """Ratio of f of the darkest material of the library at the readings to theirs, by mean cube roots; or 0."""
+        """How many times darker the readings are than the library's darkest material, by mean cube roots.
+
+        The factor is 0 without readings.
+        """
         if self.evidence.at is None or self.evidence.readings is None:
             return 0.0
         roots = self.evidence.at[0][: self.atoms.n_measured].reshape(
@@ -493,7 +512,7 @@ class Completion:
 
     @property
     def is_too_dark(self) -> bool:
-        """Whether the readings are so much darker than the library that their unit is in doubt."""
+        """Whether the readings are so much darker than the library that their unit is doubtful."""
         return self.times_darker > _MUCH_DARKER
 
     def _too_dark(self) -> list[str]:
@@ -553,8 +572,9 @@ class Completion:
         notes, readings = list(self.evidence.unlit), self.evidence.readings
         if self.evidence.strength > 0.0:
             notes.append(
-                f"the light is clipped: by the pixels its spots are {1.0 + self.evidence.strength:.3g} times as bright "
-                "as in its picture; expected errors take that as known"
+                "the light is clipped: the fit to the pixels makes its spots "
+                f"{1.0 + self.evidence.strength:.3g} times as bright as in its picture; expected errors ignore the "
+                "uncertainty of this factor"
             )
         notes += self._differing_exposures()
         if self.is_brightness_guessed:
@@ -564,8 +584,8 @@ class Completion:
             )
         if self.solution.contradiction > CONTRADICTION:
             notes.append(
-                "readings and photographs contradict each other, so the photographs count less: check that both are "
-                "of one material, and the light of the photographs"
+                "readings and photographs contradict each other, so the photographs get less weight: check that both "
+                "show the same material, and the light of the photographs"
             )
         if readings is not None and not readings.bands.is_rgb:
             notes.append(

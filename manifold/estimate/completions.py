@@ -1,4 +1,4 @@
-"""The work behind `manifold complete` and `manifold photograph`: observations in, a full BRDF out, with diagnostics."""
+"""Implements `manifold complete` and `manifold photograph`, from the observations to the written file."""
 
 from __future__ import annotations
 
@@ -78,17 +78,18 @@ class Advice(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Completed(Result):
-    """A completed material, as written. A new field or property is shown everywhere if it has an entry.
+    """A completed material that was written to a file.
 
     Attributes:
-        path: the file; None if a place on a map was asked for without one.
-        picture: of its ball, or of photographs beside predictions; None if none was asked for.
-        completion: with errors at the readings that are those of the file.
-        correction: of a second instrument's colours, learned from its readings; None where there was none to learn.
-        plausibility: of the written file, read back; None without one.
-        next_readings: to take, of which those that were asked for are `suggested`; None if nothing calls for any.
-        count: how many were asked for.
-        diagnostics: what a user should know before trusting it, in sentences.
+        path: path of the file; None if only a place on a map was requested.
+        picture: picture of its sphere, or of photographs beside predictions; None if none was requested.
+        completion: the completion, with errors that refer to the written file.
+        correction: colour correction of a second instrument, learned from its readings; None if there was none to
+            learn.
+        plausibility: physical plausibility of the written file; None without a file.
+        next_readings: readings to take next, of which `suggested` are the requested number; None if none are needed.
+        count: number of suggestions that were requested.
+        diagnostics: sentences to read before using the file.
         seconds: total time, without reading files.
     """
 
@@ -101,7 +102,7 @@ class Completed(Result):
     @property
     @derived()
     def sample(self) -> str | None:
-        """Name of the sample; None without readings."""
+        """Name of the specimen; None without readings."""
         return None if self._readings is None else self._readings.name
 
     @property
@@ -126,7 +127,7 @@ class Completed(Result):
     @property
     @derived(row="advice")
     def advice(self) -> str | None:
-        """Whether to use it, by its expected errors, and what to read first otherwise; None without them."""
+        """Advice whether to use the file, and what to measure first otherwise; None without expected errors."""
         return self._advised.words
 
     @property
@@ -140,7 +141,7 @@ class Completed(Result):
 
     @property
     def fault(self) -> str | None:
-        """Why the values themselves are in doubt: the material is too bright or too dark; None if it is not."""
+        """Reason to doubt the values: the material is too bright or too dark; None if it is neither."""
         what = "readings" if _unit(self._readings) is None else "unit of the readings (--unit)"
         if self.completion.is_too_dark:
             return f"darker than all materials of the library; check the {what}"
@@ -161,7 +162,7 @@ class Completed(Result):
     @property
     @derived(row="residual", columns={"residual": ()}, words=lambda result: result.residuals_in_words())
     def residual(self) -> float:
-        """Residual of the readings in cube roots, or of gloss if it is larger."""
+        """Relative cube-root residual of the readings, or of the gloss if that is larger."""
         return self.completion.residual_of_readings
 
     @property
@@ -179,7 +180,7 @@ class Completed(Result):
     @property
     @derived()
     def lab(self) -> tuple[Array, Array] | None:
-        """CIELAB of the readings and of the completion there, (P, 3) each; None without colours."""
+        """CIELAB colours of the readings and of the completion there, each (P, 3); None without colours."""
         return None if self._readings is None else self.completion.colours
 
     @property
@@ -191,11 +192,14 @@ class Completed(Result):
     @cached_property
     @derived(row="readings left out", words=lambda result: result.left_out_in_words(), is_detail=True)
     def left_out_readings(self) -> LeftOutReadings | None:
-        """Errors of predicting each reading from the others; None without readings, or for many."""
+        """Errors of predicting each reading from the others.
+
+        They are None without readings, or with more than `MOST_READINGS`.
+        """
         return None if self._readings is None else left_out_readings(self.completion)
 
     def left_out_in_words(self) -> str | None:
-        """Return the median and largest error of readings that the others predict; None without any."""
+        """Return a text with the median and largest error of readings predicted from the others; None without any."""
         if (found := self.left_out_readings) is None:
             return None
         if found.ciede2000 is None:
@@ -217,7 +221,7 @@ class Completed(Result):
     @property
     @derived(row="between measurements", words=lambda result: result.between_in_words())
     def between_measurements(self) -> Between | None:
-        """Difference between measurements of the sample; None where there is one."""
+        """Difference between measurements of the specimen; None if it was measured once."""
         return None if self._readings is None else self._readings.between
 
     @property
@@ -229,7 +233,7 @@ class Completed(Result):
         ],
     )
     def gloss(self) -> dict[str, dict[str, float | None]]:
-        """Gloss units by angle in degrees: read, and completed."""
+        """Gloss units by angle in degrees, measured and completed."""
         read = self.completion.evidence.gloss
         return {
             f"{angle:g}": {"read": read.get(angle), "completed": units}
@@ -242,7 +246,7 @@ class Completed(Result):
         is_detail=True,
     )  # fmt: skip
     def made_of(self) -> dict[str, float]:
-        """Weights of materials, or from photographs shares of the light that the ball sends, by name."""
+        """Weights of the materials by name or, from photographs, their shares of the sphere's light."""
         return dict(self.completion.made_of)
 
     @property
@@ -260,11 +264,11 @@ class Completed(Result):
     @property
     @derived(row="change of the ball", words=lambda result: result.contributions_in_words(), is_detail=True)
     def contributions(self) -> dict[str, float]:
-        """CIEDE2000 by which the ball changes without an observation, by its name, see `Completion.contributions`."""
+        """CIEDE2000 by which the sphere changes without an observation, by name, see `Completion.contributions`."""
         return self.completion.contributions
 
     def contributions_in_words(self) -> str | None:
-        """Return the contributions; None without any."""
+        """Return a text with the contributions; None without any."""
         parts = [f"without {name} {off:.1f}" for name, off in self.contributions.items()]
         return f"{', '.join(parts)} {BALL}" if parts else None
 
@@ -293,7 +297,7 @@ class Completed(Result):
         return self.completion.evidence.readings
 
     def residuals_in_words(self) -> list[str]:
-        """Return the residual of the readings, and the largest of one."""
+        """Return texts with the residual of all readings, and the largest residual of one."""
         if self._readings is None:
             return []
         residual = self.completion.residual_of_readings
@@ -302,7 +306,7 @@ class Completed(Result):
         return [f"{100 * residual:.1f} % of the {which}, in cube roots, at most {100 * most:.1f} %"]
 
     def colours_in_words(self) -> str:
-        """Return the mean and largest difference of colours at the readings, with the angles of the largest."""
+        """Return a text with the mean and largest colour difference at the readings, and the angles of the largest."""
         off, readings = self.misfits_ciede2000, self.completion.readings
         assert off is not None
         most = int(off.argmax())
@@ -313,7 +317,7 @@ class Completed(Result):
         )
 
     def between_in_words(self) -> str:
-        """Return the difference between measurements, and the number of readings that it is based on."""
+        """Return a text with the difference between measurements, and the number of readings on which it is based."""
         between = self.between_measurements
         assert between is not None
         return (
@@ -322,7 +326,7 @@ class Completed(Result):
         )
 
     def beside(self, ciede2000: float) -> str:
-        """Return a remark on an error that is smaller than the differences between measurements of the sample."""
+        """Return a remark if an error is smaller than the differences between measurements of the specimen."""
         between = self.between_measurements
         return "" if between is None or ciede2000 > between.ciede2000 else " (less than measurements differ)"
 
@@ -332,9 +336,9 @@ class Photographed(Completed):
     """A material completed from photographs, and perhaps readings.
 
     Attributes:
-        balls: in the photographs.
-        located: its place on a map; None if none was asked for.
-        plan: where to hold the lamp for further pictures; None if no suggestion was asked for.
+        balls: the spheres that the photographs show.
+        located: its place on a map; None if none was requested.
+        plan: lamp positions for further photographs; None if no suggestion was requested.
     """
 
     balls: tuple[SeenBall, ...]
@@ -352,7 +356,7 @@ class Photographed(Completed):
         ],
     )
     def photographs(self) -> list[dict[str, Any]]:
-        """Files with their balls, lamps and residuals."""
+        """Files of the photographs, with the spheres, lamps and residuals."""
         return [
             {
                 "path": ball.photograph.path,
@@ -369,7 +373,7 @@ class Photographed(Completed):
         row="latent", words=lambda result: result.located and ",".join(result.located.coordinates), json=False
     )
     def latent(self) -> Array | None:
-        """Its latent on a map, if it was asked for."""
+        """Its latent on a map; None if no place was requested."""
         return None if self.located is None else self.located.latent
 
     @property
@@ -403,13 +407,13 @@ class Photographed(Completed):
 
     @property
     def balls_with_residuals(self) -> list[tuple[SeenBall, float, float | None]]:
-        """The balls, each with the residual of its pixels, and with their error as the other pictures predict them."""
+        """The spheres with the residual of their pixels, and with the error when the other pictures predict them."""
         residuals = self.completion.solution.residuals.tolist()
         errors = self.completion.picture_errors or [None] * len(residuals)
         return list(zip(self.balls, residuals, errors, strict=True))
 
     def residuals_in_words(self) -> list[str]:
-        """Return the residuals of pixels and of readings, and that of readings that pictures alone predict."""
+        """Return texts with the residuals of pixels, of readings, and of readings that the pictures alone predict."""
         words = [f"{100 * self.residual:.1f} % of the pixels, in cube roots"]
         predicted = (
             f"; {100 * self.completion.solution.contradiction:.1f} % predicted from only the photographs"
@@ -419,7 +423,7 @@ class Photographed(Completed):
     @property
     @derived(row="change of the ball", words=lambda result: result.contributions_in_words(), is_detail=True)
     def contributions(self) -> dict[str, float]:
-        """CIEDE2000 by which the ball changes without an observation, by its name or that of the picture."""
+        """CIEDE2000 by which the sphere changes without an observation, by the name of the observation or picture."""
         names = {f"picture {k}": ball.photograph.path.name for k, ball in enumerate(self.balls, start=1)}
         return {names.get(name, name): off for name, off in self.completion.contributions.items()}
 
@@ -433,7 +437,7 @@ def observe(
 ) -> tuple[Completion, Calibration, tuple[SeenBall, ...]]:
     """Complete the readings, gloss and pictures of a material with a library as prior.
 
-    Return the completion, the calibration of its expected errors, and the balls in the pictures.
+    Returns the completion, the calibration of its expected errors, and the spheres in the pictures.
     """
     balls: tuple[SeenBall, ...] = ()
     if pictures is not None:
@@ -455,7 +459,7 @@ def observe(
 
 
 def notes_of(completion: Completion, calibration: Calibration, balls: Sequence[SeenBall]) -> tuple[str, ...]:
-    """Return sentences on contradictions, on what the observations leave open, and on assumptions about pictures."""
+    """Return sentences about contradictions, about undetermined properties, and about assumptions on pictures."""
     of_some, of_all = _of_balls(balls)
     notes = (
         *(warning for ball in balls for warning in ball.warnings),
@@ -498,25 +502,25 @@ def complete(
     instrument: str | None = None,
     options: OutputOptions = COMPLETION_OPTIONS,
 ) -> Completed:
-    """Complete observations of one material through those of a library, and write the BRDF as an RGL file.
+    """Complete observations of one material with a library as prior, and write the BRDF as an RGL file.
 
     Args:
-        library: of measured materials.
-        readings: of the sample, or their file; where a spectrum is missing, the colour of its picture is taken. None if
-            there are only pictures.
-        output: the file to write; its name becomes the material's.
-        pictures: photographs of balls of it, and how they were taken.
-        gloss: gloss units by angle in degrees, beside those of the readings.
-        sample: name of the sample, if the file has several.
-        correction: what `instruments.read` learned, to be reported.
-        picture: of the ball, or of the photographs beside their prediction and the difference, to render.
-        count: how many further readings, or pictures if there are some, to suggest.
-        instrument: whose directions to suggest.
+        library: path of the library of measured materials.
+        readings: readings of the specimen, or the path of their file; the colour of the instrument's own picture
+            replaces a missing spectrum. None if there are only photographs.
+        output: the file to write; the material is named after it.
+        pictures: photographs of spheres of the material, and how they were taken.
+        gloss: gloss units by angle in degrees, in addition to those of the readings.
+        sample: name of the specimen, if the file has several.
+        correction: colour correction from `instruments.read`, for the report.
+        picture: file for a picture of the sphere, or of the photographs beside their predictions; None draws none.
+        count: number of further readings, or of photographs if there are any, to suggest.
+        instrument: name of the instrument whose directions are suggested; None allows any.
         options: options of the output file.
 
     Raises:
-        BandMismatchError: bands of readings and library do not go together.
-        UsageError: the output does not end in `.bsdf`, nothing was read, or there is no such instrument.
+        BandMismatchError: the bands of the readings and the library cannot be combined.
+        UsageError: the output does not end in `.bsdf`, there are no observations, or there is no such instrument.
     """
     start = time.perf_counter()
     if isinstance(readings, Path):
@@ -566,7 +570,7 @@ def complete(
         _of_unit(readings, written.plausibility)
         + written.notes
         + notes_of(completion, calibration, balls)
-        + ("the residual of pixels is that of the material before it was made physical",)
+        + ("the residual of the pixels refers to the material before it was made physical",)
         * bool(balls and written.projection)
     )
     made: dict[str, Any] = {
@@ -584,9 +588,9 @@ def advise(
     fault: str | None = None,
     unit: str | None = None,
 ) -> Advice:
-    """Return whether to use a completion of some expected errors, and the first of the next readings to take.
+    """Return advice whether to use a completion with these expected errors, and which reading to take next.
 
-    It is not to be used if there is a fault, and only if the values are in a unit, where one was assumed.
+    The advice is against using it if there is a `fault`, and names the `unit` if one was assumed.
     """
     if "scaled_ball" in expected.known:
         return Advice(
@@ -618,9 +622,9 @@ def advise(
 
 
 def odd_pictures(names: Sequence[str], predicted: Sequence[float]) -> list[str]:
-    """Return a sentence on each photograph that contradicts the others, by its error as these predict it.
+    """Return a sentence about each photograph that contradicts the others, from its error when these predict it.
 
-    Of two, one says too little of sparkling materials in the light of the other.
+    Two photographs are not compared: for sparkling materials, one predicts the other too poorly.
     """
     if len(predicted) <= 2:
         return []
@@ -658,7 +662,7 @@ def _of_unit(readings: Readings | None, plausibility: Plausibility) -> tuple[str
 
 
 def draw_ball(file: Path, picture: Path) -> None:
-    """Render the ball of a file into a picture."""
+    """Render a sphere with the BRDF of a file, and write the picture."""
     from manifold.render import ball, images
     from manifold.render.render import RenderSettings
 
@@ -669,7 +673,7 @@ _kept: dict[tuple[Path, str], LibraryAtoms] = {}  # of the library that was used
 
 
 def atoms_of(library: Library) -> LibraryAtoms:
-    """Return the atoms of a library, cached for the next sample."""
+    """Return the atoms of a library; they are cached for the next specimen."""
     key = library.path, library.content_hash
     if key not in _kept:
         _kept.clear()
@@ -678,7 +682,7 @@ def atoms_of(library: Library) -> LibraryAtoms:
 
 
 def parse_lab(text: str, viewing: Viewing) -> Array:
-    """Return the CIELAB colour (3,) under D65 and the 2 degree observer of `L,a,b` under a light, to an observer."""
+    """Parse `L,a,b` for a light and observer, and convert it to CIELAB (3,) under D65 and the 2 degree observer."""
     values = [number(part) for part in text.split(",")]
     if len(values) != 3 or None in values:
         raise UsageError(f"colour '{text}', expected L,a,b such as 50,20,10, with L from 0 to 100")
@@ -686,7 +690,7 @@ def parse_lab(text: str, viewing: Viewing) -> Array:
 
 
 def colour_under_d65(lab: Array, viewing: Viewing) -> Array:
-    """Convert CIELAB (3,) to D65, and check the lightness."""
+    """Convert CIELAB (3,) from a light and observer to D65 and the 2 degree observer, after checking the lightness."""
     if not 0.0 <= lab[0] <= 100.0:
         raise UsageError(
             f"colour '{','.join(f'{v:g}' for v in lab)}', expected L,a,b such as 50,20,10, with L from 0 to 100"
@@ -714,7 +718,7 @@ def parse_gloss(texts: Iterable[str]) -> dict[float, float]:
 
 
 def uncertainty(completion: Completion) -> dict[str, Any]:
-    """Return `Completion.factors_at` in the plane of incidence, by direction."""
+    """Return `Completion.factors_at` in the plane of incidence, as plain values by direction."""
     profiles: dict[str, list[float]] = {}
     for incidence in _PROFILE_INCIDENCES_DEG:
         wi = from_spherical(np.deg2rad(incidence), np.pi)
@@ -736,5 +740,5 @@ def _describe(completion: Completion) -> str:
 
 
 def file_name(readings: Readings) -> str:
-    """Return the default file name of a completed material, made of the sample's name."""
+    """Return the default file name of a completed material, derived from the specimen's name."""
     return f"{safe_name(readings.name)}.bsdf"

@@ -1,4 +1,4 @@
-"""Descriptions of measured files by a map or a library: RGL files with the errors of that."""
+"""Describes measured files by a map or a library, and writes the result as an RGL file with its errors."""
 
 from __future__ import annotations
 
@@ -45,21 +45,21 @@ def locate(
     library: Path | str | None = None,
     options: OutputOptions = DEFAULT_OPTIONS,
 ) -> Located:
-    """Embed a measured file in a fitted manifold, see `manifold.model.location.locate`.
+    """Locate a measured file on a fitted manifold, see `manifold.model.location.locate`.
 
-    An output whose albedo would exceed 1.05 is not written if `strict` is set; `refusal` says so. If the output was
-    made physical, the errors are those of the written file.
+    If `strict` is set, an output whose albedo exceeds 1.05 is not written, and `refusal` states the reason. If the
+    output was made physical, the errors refer to the written file.
 
     Args:
         model: a fitted manifold, or the path of one.
         path: the measured file, or another material.
         output: a `.bsdf` file for the prediction at the latent, in the colours found; None writes none.
-        library: where the model's library is now, if not where the model remembers it.
-        options: of the output.
+        library: path of the model's library, if the library was moved.
+        options: options of the output.
 
     Raises:
         FileFormatError: the file is not an RGL file.
-        BandMismatchError: its bands are not the library's.
+        BandMismatchError: the file has other bands than the library.
         UsageError: the output cannot be written.
     """
     if output is not None:
@@ -85,22 +85,22 @@ def reconstruct(
 ) -> Reconstruction:
     """Reconstruct a measured file from a library, see `manifold.model.location.reconstruct_file`, and write it.
 
-    An output whose albedo would exceed 1.05 is not written if `strict` is set; `refusal` says so. The errors of an
-    output that was projected are those of the file.
+    If `strict` is set, an output whose albedo exceeds 1.05 is not written, and `refusal` states the reason. If the
+    output was made physical, the errors refer to the written file.
 
     Args:
-        library: of measured materials in the same bands.
+        library: library of measured materials in the same bands, or its path.
         path: the measured file, or another material.
         output: the `.bsdf` file to write.
-        without: names of materials that take no part.
-        numbers: largest number of coefficients; None sets no limit.
-        options: of the output.
+        without: names of materials that must not be used.
+        numbers: largest number of parameters; None sets no limit.
+        options: options of the output.
 
     Raises:
         FileFormatError: the file is not an RGL file.
-        BandMismatchError: its bands are not the library's.
-        UsageError: the file is black, no material is left, there is none of a name in `without`, or the output
-            cannot be written.
+        BandMismatchError: the file has other bands than the library.
+        UsageError: the file is black, no material is left, a name in `without` is unknown, or the output cannot be
+            written.
     """
     output = Path(output)
     require_bsdf_output(output)
@@ -119,10 +119,9 @@ def locate_photographs(
     picture: Path | None = None,
     options: OutputOptions = DEFAULT_OPTIONS,
 ) -> Photographed:
-    """Find the place of photographed balls on a fitted manifold, and write the prediction there.
+    """Locate photographed spheres on a fitted manifold, and write the prediction there.
 
-    Give the library if it has moved since the model was fitted. `picture` has the meaning that it has in
-    `completions.complete`.
+    `library` is the path of the model's library, if it was moved. `picture` is described in `completions.complete`.
     """
     from manifold.estimate import photographs
     from manifold.estimate.completions import Photographed, notes_of, observe

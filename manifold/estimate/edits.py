@@ -1,4 +1,4 @@
-"""Files and steps of walks with another colour: their own values are edited, without the map."""
+"""Gives files and steps of walks another colour by editing their own values, without the map."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from manifold.model.manifold import Manifold
 
 
 def own_values(brdf: BRDF, attributes: Attributes) -> tuple[BRDF, Adjusted]:
-    """Return a material with attributes of its colour, by its own values, and what was reached."""
+    """Return a material edited to have the requested colour attributes, and the values reached."""
     asked = measured(brdf, ()) | attributes.values(brdf)
     if attributes.is_tinted:
         lab = from_lch(np.array([asked[each.key] for each in COLOUR]))
@@ -35,7 +35,7 @@ def own_values(brdf: BRDF, attributes: Attributes) -> tuple[BRDF, Adjusted]:
 
 
 def in_colour(model: Manifold, brdf: BRDF, choice: ColourChoice) -> tuple[BRDF, str, float]:
-    """Return a material of a chosen reflectance by its own values, the colour in words, and the largest difference."""
+    """Return a material edited to a given colour, a text that describes it, and the largest difference that remains."""
     if choice.like is None or choice.is_like_file:
         asked, words = choice.asked(brdf.bands)
     else:

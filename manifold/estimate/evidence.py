@@ -1,4 +1,4 @@
-"""Observations of a material by instruments, gloss meters and cameras, and the bands in which they are compared."""
+"""Combines observations of a material by instruments, gloss meters and cameras in the bands where they are compared."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ _FEW_BANDS = 3  # bands, other than blue, green and red, that are no colour
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Observations of a material, and the values that atoms have there.
+    """Observations of a material, and the values of the atoms there.
 
-    Readings without pictures are compared in cube roots, in their own bands. Pictures are sums of light: beside them,
-    readings and gloss are compared in values, in the channels of the camera, as further rows.
+    Without pictures, readings are compared in cube roots and in their own bands. Pictures measure sums of light; if
+    there are any, readings and gloss are compared in values and in the channels of the camera, as further rows.
 
     Attributes:
-        readings: of instruments; None without any.
+        readings: readings of instruments; None without any.
         gloss: gloss units by angle in degrees.
-        at: cube roots of atoms at the readings, (n, P), and at the gloss, (n, G); None beside pictures.
-        pictures: rows of every picture in each of C channels, as its pixels are.
-        exposure: factor of the pictures over light times material; None if it is unknown.
-        each: whether every picture has an exposure of its own about that.
+        at: cube roots of atoms at the readings, (n, P), and at the gloss, (n, G); None if there are pictures.
+        pictures: rows (pixels) of every picture in each of C channels, with the exposure of the picture.
+        exposure: ratio of the pictures to light times material; None if it is unknown.
+        each: whether every picture has its own exposure, which varies about the common one.
         of_readings: rows of the readings in each channel; empty without pictures.
         of_gloss: rows of the gloss in each channel; empty without pictures.
-        to_bands: from the channels to the bands of the completion, shape (B, C); None without pictures.
-        strength: of spots in a clipped light, see `solving.strength_of_spots`; 0 without any.
-        unlit: what the light of the pictures does not determine, in sentences.
+        to_bands: matrix from the channels to the bands of the completion, shape (B, C); None without pictures.
+        strength: strength of clipped spots of the light, see `solving.strength_of_spots`; 0 without any.
+        unlit: sentences about properties that the light of the pictures does not determine.
     """
 
     readings: Readings | None = None
@@ -62,9 +62,9 @@ class Evidence:
     def of_instruments(
         cls, atoms: LibraryAtoms, readings: Readings, at: tuple[Array, Array] | None = None
     ) -> Evidence:
-        """Return readings, and the gloss that they have, as evidence.
+        """Return readings, and the gloss stored with them, as evidence.
 
-        Cube roots of atoms at them, (n, P) and (n, G), are evaluated if they are not known.
+        `at` are the cube roots of the atoms at the readings (n, P) and the gloss (n, G); None evaluates them.
         """
         if at is None:
             at = atoms.at(readings.wi, readings.wo), atoms.at_gloss_meters(tuple(readings.gloss))
@@ -80,20 +80,20 @@ class Evidence:
 
     @property
     def read(self) -> tuple[Readings, Array, Array]:
-        """Readings without pictures, and cube roots of atoms at them and at the gloss."""
+        """The readings, and the cube roots of the atoms at them and at the gloss; only without pictures."""
         assert self.readings is not None
         assert self.at is not None
         return self.readings, *self.at
 
     @property
     def has_gains(self) -> bool:
-        """Whether exposures of pictures relative to each other are to be estimated."""
+        """Whether the relative exposures of the pictures must be estimated."""
         return self.each and len(self.pictures) > 1
 
     def under(self, exposures: Array, noise: Array | None = None) -> list[Observation]:
-        """Return the rows of every channel, under exposures (P,) of the pictures.
+        """Return the rows of every channel, given the exposures (P,) of the pictures.
 
-        Pictures of more than the usual noise (P,) count less.
+        Pictures with more noise (P,) than usual get smaller weights.
         """
         counts = np.ones(len(exposures)) if noise is None else (MODEL_ERROR / noise) ** 2
         channels = []
@@ -121,8 +121,8 @@ class Evidence:
     def of_material(self, atoms: LibraryAtoms, m: int) -> Evidence:
         """Return the observations that the same instruments and cameras would make of material m, without noise.
 
-        It is read in those of the bands of the atoms that are nearest to the readings' only, so that errors of
-        extrapolation to other bands count.
+        Readings of it are simulated only in the atom bands nearest to bands of the real readings, so that the errors
+        of extrapolating to other bands are included.
         """
         if self.pictures:
             return self._pictures_of(channel_atoms(atoms, m))
@@ -162,7 +162,7 @@ def channel_atoms(atoms: LibraryAtoms, material: int) -> Indices:
 
 
 def seen_instead(rows: Observation, seen: Array) -> Observation:
-    """Return the pixels of another material, clipped at the same level."""
+    """Return rows with the pixels of another material, clipped at the same level."""
     level = clipping(rows)
     is_bound = (seen >= level) & (np.arange(len(seen)) < len(seen) - rows.n_beside)
     return replace(rows, seen=np.where(is_bound, level, seen), is_bound=is_bound)
@@ -174,9 +174,9 @@ def clipping(rows: Observation) -> float:
 
 
 def rows_of_readings(atoms: LibraryAtoms, readings: Readings, of_pixels: float) -> list[Observation]:
-    """Return readings in the channels of a camera; each weighs as much as a share of a picture's total weight.
+    """Return readings as rows in the channels of a camera; each weighs `of_pixels` of a picture's total weight.
 
-    They are reflectance factors times a cosine, as pixels are; those brighter than white are scaled to it.
+    The rows are reflectance factors times a cosine, like pixels; values brighter than white are scaled to white.
     """
     channels = []
     for values in readings.values.T:
@@ -194,7 +194,10 @@ def rows_of_readings(atoms: LibraryAtoms, readings: Readings, of_pixels: float) 
 def rows_of_gloss(
     atoms: LibraryAtoms, gloss: GlossUnits, weights: Array, of_pixel: float
 ) -> list[Observation]:
-    """Return gloss in every channel, of the colour that weights (3, n) give it; each counts as a pixel."""
+    """Return gloss as rows in every channel, with the colour that weights (3, n) predict.
+
+    Each weighs as much as a pixel.
+    """
     means, unit = atoms.at_gloss_meters(tuple(gloss)), np.array([value_of_unit(angle) for angle in gloss])
     read = unit * list(gloss.values())
     of_channels = np.maximum(weights @ means, np.finfo(float).tiny)
@@ -208,7 +211,7 @@ def rows_of_gloss(
 
 
 def usable_readings(readings: Readings) -> Readings:
-    """Return the measured readings of positive weight above the horizon."""
+    """Return the readings that were measured, are above the horizon, and have a positive weight."""
     is_usable = (readings.wi[:, 2] > 1e-3) & (readings.wo[:, 2] > 1e-3)
     is_usable &= readings.measured.any(axis=1) & (readings.weights > 0.0)
     if not np.nansum(np.maximum(readings.values[is_usable], 0.0)) > 0.0:
@@ -220,9 +223,10 @@ def usable_readings(readings: Readings) -> Readings:
 
 
 def for_library(readings: Readings, bands: Bands) -> Readings:
-    """Return readings that a library of some bands can complete: linear sRGB needs an RGB library, spectra fit any.
+    """Return readings in a form that a library with these bands can complete.
 
-    Three narrow bands become spectra, see `colour.narrow_bands`.
+    Linear sRGB needs an RGB library; spectra fit any library. Three narrow bands are converted to spectra, see
+    `colour.narrow_bands`.
     """
     readings = with_spectra(readings)
     nm = readings.wavelengths_nm
@@ -245,7 +249,7 @@ def bands_of(readings: Readings, bands: Bands) -> Bands:
 
 
 def in_all_bands(weights: Array, readings: Readings, bands: Bands) -> Array:
-    """Interpolate weights (B_r, n) at the bands of readings to all B bands of a library; constant outside."""
+    """Interpolate weights (B_r, n) at the bands of readings to all B bands of a library; they are constant outside."""
     if bands.wavelengths_nm is None or readings.wavelengths_nm is None:
         return weights
     used = np.flatnonzero(weights.any(axis=0))
@@ -257,7 +261,7 @@ def in_all_bands(weights: Array, readings: Readings, bands: Bands) -> Array:
 
 
 def beyond(readings: Readings, bands: Bands) -> tuple[float, float] | None:
-    """Return the first and last wavelength of the readings in nm if the library's range is larger; else None."""
+    """Return the first and last wavelength of the readings in nm if the library's range is larger, otherwise None."""
     nm, of_library = readings.wavelengths_nm, bands.wavelengths_nm
     if nm is None or of_library is None:
         return None
@@ -266,7 +270,7 @@ def beyond(readings: Readings, bands: Bands) -> tuple[float, float] | None:
 
 
 def nearest_bands(bands: Bands, to: Bands) -> Mask:
-    """Return a mask of the bands (B,) that are nearest to one of others; all if either is linear sRGB."""
+    """Return a mask of the bands (B,) that are nearest to a band of `to`; all bands if either is linear sRGB."""
     if bands.wavelengths_nm is None or to.wavelengths_nm is None:
         return np.ones(bands.count, bool)
     apart = np.abs(np.subtract.outer(to.wavelengths_nm, bands.wavelengths_nm))

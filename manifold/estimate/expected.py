@@ -1,4 +1,4 @@
-"""Expected errors of a completion: those of the library's materials, completed from the same observations."""
+"""Estimates the errors of a completion from completing the library's own materials from the same observations."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from manifold.library.store import Library
 from manifold.model.expected_error import BELOW_TWICE
 
 CALIBRATION_VERSION = 3
-"""Raised where completions, or errors of left-out materials, change: calibrations that are stored are stale then."""
+"""Version of stored calibrations; increase it when completions or leave-one-out errors change."""
 
 _KINDS = ("ball", "scaled_ball", "cube_root", "linear", "near_mirror", "elsewhere")  # some may be unknown
 _LEFT_OUT = 16  # materials by which errors of estimates from pictures are calibrated
@@ -51,12 +51,12 @@ LARGE = 0.26
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration:
-    """Errors of N left-out materials of a library, completed from the same observations.
+    """Errors of N materials of a library, each left out and completed from the same observations.
 
     Attributes:
-        errors: true ones of every material, those of `_KINDS` that are known, each (N,).
-        plausible: their `plausible_errors`, each (N,).
-        residuals: of the observations, shape (N,).
+        errors: true errors of the materials, those of `_KINDS` that are known, each (N,).
+        plausible: `plausible_errors` of the materials, each (N,).
+        residuals: residuals of the observations, shape (N,).
     """
 
     errors: Errors[Array]
@@ -67,9 +67,9 @@ class Calibration:
     def leave_out(
         cls, method: Callable[[int], tuple[Errors[float], Errors[float], float]], materials: Sequence[int]
     ) -> Calibration:
-        """Make a calibration from the errors, plausible errors and residual of each left-out material.
+        """Make a calibration by leaving out each material, in several threads.
 
-        Threads share the materials.
+        `method` returns the errors, plausible errors and residual of a left-out material.
         """
         found: dict[int, tuple[Errors[float], Errors[float], float]] = {}
         with one_blas_thread:
@@ -84,9 +84,9 @@ class Calibration:
     def expected(self, completion: Completion) -> Errors[float]:
         """Return the expected errors of a completion from these observations.
 
-        They are its plausible errors times factors, see `factors`. Where the residual is larger than that of any
-        left-out material, errors grow in proportion to it. The error of colours that were estimated from three bands,
-        or that repeated readings leave open, is added to that of the ball.
+        They are its plausible errors times factors, see `factors`. If the residual is larger than the residual of
+        every left-out material, the errors grow in proportion to it. The ball error also includes the uncertainty of
+        colours that were estimated from three bands or that repeated readings leave open.
         """
         found = self.at(plausible_errors(completion), completion.residual)
         if not completion.is_brightness_guessed:
@@ -94,11 +94,11 @@ class Calibration:
         return found.beside(Errors(ball=completion.colour_error))
 
     def at(self, plausible: Errors[float], residual: float) -> Errors[float]:
-        """Return the expected errors at some plausible errors and a residual."""
+        """Return the expected errors for given plausible errors and a residual."""
         return self._at(plausible, residual, np.ones(len(self.residuals), bool))
 
     def notes(self, completion: Completion) -> tuple[str, ...]:
-        """Return a note if the residual is larger than that of every left-out material, and than noise makes it."""
+        """Return a note if the residual exceeds that of every left-out material, and what noise can explain."""
         residual, has_pictures = completion.residual, bool(completion.evidence.pictures)
         if not self.is_beyond(residual) or (has_pictures and residual <= NOISY):
             return ()
@@ -120,12 +120,12 @@ class Calibration:
         return float(self.residuals.max())
 
     def is_beyond(self, residual: float) -> bool:
-        """Return whether a residual is larger than that of every left-out material, by more than `_MARGIN`."""
+        """Return whether a residual exceeds the residual of every left-out material by more than `_MARGIN`."""
         return residual > _MARGIN * self.largest_residual
 
     @property
     def expected_of_left_out(self) -> Errors[Array]:
-        """Expected errors of every material, learned from the others, each (N,)."""
+        """Expected errors of every material, estimated from the other materials, each (N,)."""
         every = np.arange(len(self.residuals))
         return Errors.of_several(
             [
@@ -147,7 +147,7 @@ class Calibration:
 
 
 def unreliable(expected: Errors[float]) -> str | None:
-    """Return where expected errors are too large: "all directions", "highlights", or None."""
+    """Return where the expected errors are too large to use a completion: "all directions", "highlights", or None."""
     if expected.elsewhere > LARGE:
         return "all directions"
     return "highlights" if expected.near_mirror > LARGE else None
@@ -159,7 +159,10 @@ def _arrays(errors: Sequence[Errors[float]]) -> Errors[Array]:
 
 
 def typical(values: Array) -> float:
-    """Return the larger of the median and half the 90th percentile, which counts one value more, a large one."""
+    """Return a typical error: the median, or half the 90th percentile if that is larger.
+
+    The percentile is computed with one large value added.
+    """
     N = len(values)
     most = float(np.quantile(values, min(BELOW_TWICE * (N + 1) / N, 1.0)))
     return max(float(np.median(values)), most / 2.0)
@@ -177,11 +180,11 @@ def _factor(ratios: Array, of_world: float) -> float:
 
 
 def plausible_errors(made: Completion) -> Errors[float]:
-    """Return the errors that a completion has if its material is one that explains the observations about as well.
+    """Return the errors of a completion if its true material were another that explains the observations about as well.
 
-    Such materials are those of the library and coats, each scaled and beside a Lambertian, see `mixtures.Alike`, in the
-    mean over bands, or by channel; none is scaled if the brightness is a guess. Errors are geometric means over them,
-    and that of the ball is of its lightness.
+    These materials are those of the library and the coats, each scaled and mixed with a Lambertian, see
+    `mixtures.Alike`; they are not scaled if only the library determines the brightness. The errors are geometric
+    means over them, averaged over bands or channels; the ball error is the error of lightness.
     """
     atoms, n = made.atoms, made.atoms.n_grid
     lights, pixels, pairs = _some_pixels(panel.judged())
@@ -223,15 +226,15 @@ def _some_pixels(lights: Panel) -> tuple[Panel, Indices, Indices]:
 
 
 def calibrate(atoms: LibraryAtoms, seen: Readings | Evidence, library: Library | None = None) -> Calibration:
-    """Complete every material of a library from the others, with the same observations.
+    """Complete every material of a library from the others, with the same kind of observations.
 
     If there are pictures, an evenly spaced subset of the materials is used.
 
     Args:
-        atoms: of the library.
-        seen: of which only directions, bands, weights and angles of gloss, light and clipping are used, and what is
-            known of the exposures; pictures under these, see `Completion.exposed`.
-        library: in whose cache the result is kept for these, and from which it is taken if it is there.
+        atoms: atoms of the library.
+        seen: the observations, of which only directions, bands, weights, gloss angles, light, clipping and known
+            exposures are used; pictures must be divided by their exposures, see `Completion.exposed`.
+        library: library in which the result is cached; None caches nothing.
     """
     evidence = seen if isinstance(seen, Evidence) else Evidence.of_instruments(atoms, seen)
     if library is None:
@@ -240,9 +243,9 @@ def calibrate(atoms: LibraryAtoms, seen: Readings | Evidence, library: Library |
 
 
 def cached(library: Library, key: str, calibrate: Callable[[], Calibration]) -> Calibration:
-    """Return the calibration of a key in the cache of a library; a missing one is made and stored there.
+    """Return the calibration for a key from the cache of a library; a missing calibration is made and stored.
 
-    One that was made in other judged lights counts as missing.
+    A calibration for other test lights counts as missing.
     """
     key = hashlib.sha256(f"{key} {panel.judged().signature}".encode()).hexdigest()
     kept = library.cache_get(key) or {}
@@ -301,7 +304,7 @@ def _calibrated(atoms: LibraryAtoms, evidence: Evidence) -> Calibration:
 def leave_out(atoms: LibraryAtoms, m: int, seen: Readings | Evidence) -> Completion:
     """Complete material m from all others, in the bands of the atoms or the channels of the camera, without noise.
 
-    `calibrate` says which parts of the observations count.
+    See `calibrate` for the parts of `seen` that are used.
     """
     evidence = seen if isinstance(seen, Evidence) else Evidence.of_instruments(atoms, seen)
     others = atoms if evidence.pictures else atoms.in_atom_bands()
@@ -309,15 +312,15 @@ def leave_out(atoms: LibraryAtoms, m: int, seen: Readings | Evidence) -> Complet
 
 
 def errors_of_weights(atoms: LibraryAtoms, m: int, weights: Array) -> Errors[float]:
-    """Return errors of weights (3, n) of atoms of values, in the channels of a camera, for material m."""
+    """Return the errors of describing material m by weights (3, n) of atoms of values, in the channels of a camera."""
     return errors_of(atoms, m, atoms.grid_values(weights), (weights @ atoms.on_ball).T)
 
 
 def errors_of(atoms: LibraryAtoms, m: int, on_grid: Array, on_ball: Array) -> Errors[float]:
-    """Return errors of f predicted for material m in the bands of the atoms; unknown if f is not finite.
+    """Return the errors of values f predicted for material m, in the bands of the atoms; unknown if f is not finite.
 
-    f is predicted on the grid, shape (P_g, B_s), and at the pairs that light a ball in the judged lights, (P_b, B_s);
-    for atoms of values in the channels of a camera: on the grid, (P_g, 3), and in the pixels of the ball, (K, 3).
+    `on_grid` (P_g, B_s) is f on the grid, `on_ball` (P_b, B_s) f at the direction pairs of a sphere in the five test
+    lights. For atoms of values, both are in the channels of a camera: (P_g, 3), and the pixels of the sphere (K, 3).
     """
     if not np.all(np.isfinite(on_ball)):
         return Errors()

@@ -1,7 +1,7 @@
-"""Specular gloss: the reading of a gloss meter on a BRDF at 20, 60 or 85 degrees.
+"""Computes specular gloss, the reading of a gloss meter at 20, 60 or 85 degrees, from a BRDF.
 
-Light through a narrow aperture falls on the sample, and a wider one around the mirror direction collects it; the same
-from polished black glass is 100 gloss units.
+Light from a narrow aperture falls on the specimen, and a wider aperture around the mirror direction collects it;
+polished black glass has 100 gloss units.
 
 Source: ISO 2813, ASTM D523: angles, apertures, and the glass.
 """
@@ -31,7 +31,7 @@ _GLASS_INDEX = 1.567
 
 @cache
 def gloss_meter(angle_deg: float) -> Picture:
-    """Return the measurement of a gloss meter at one of `GLOSS_ANGLES_DEG`: one sum, in gloss units."""
+    """Return the measurement of a gloss meter at one of `GLOSS_ANGLES_DEG`, a picture of one value in gloss units."""
     if angle_deg not in RECEPTORS_DEG:
         raise UsageError(f"gloss at {angle_deg:g} degrees, expected 20, 60 or 85 (ISO 2813)")
     theta = np.deg2rad(angle_deg)
@@ -44,10 +44,10 @@ def gloss_meter(angle_deg: float) -> Picture:
 
 
 def half_gloss_meter(angle_deg: int) -> tuple[Array, Array, Array]:
-    """Return a gloss meter of few pairs, wi and wo (P, 3), with gloss units per 1/sr at each, (P,).
+    """Return a gloss meter with few direction pairs: wi and wo (P, 3), and gloss units per 1/sr of each pair (P,).
 
-    They lie on one side of the plane of incidence, dense around the mirror direction, and all have the light at the
-    centre of the source: that the source is wide is in the weights, as the wider receptor.
+    The pairs lie on one side of the plane of incidence, dense around the mirror direction. All have the light at the
+    centre of the source; the weights include the width of the source as a wider receptor.
     """
     theta, (half_in, half_across) = np.deg2rad(angle_deg), 0.5 * np.deg2rad(RECEPTORS_DEG[angle_deg])
     source_in, source_across = 0.5 * np.deg2rad(SOURCE_DEG)
@@ -73,14 +73,15 @@ def black_glass(angle_deg: float) -> float:
 
 
 def value_of_unit(angle_deg: float) -> float:
-    """Return the mean of f over the receptor, in 1/sr, that makes one gloss unit."""
+    """Return the mean of f over the receptor, in 1/sr, that corresponds to one gloss unit."""
     return 1.0 / float(gloss_meter(angle_deg).light.sum())
 
 
 def gloss_units(brdf: EvaluableBRDF, angles_deg: Iterable[float]) -> dict[float, float]:
-    """Return gloss units of a BRDF, by its luminance, at some of `GLOSS_ANGLES_DEG`.
+    """Return the gloss units of a BRDF, from its luminance, by angle: some of `GLOSS_ANGLES_DEG`.
 
-    Files hold highlights as wide as the goniometer resolved: the gloss of what is polished comes out too low.
+    Measured files resolve highlights no better than the goniometer did, so the gloss of polished materials is too
+    low.
     """
     units = {}
     for angle in angles_deg:

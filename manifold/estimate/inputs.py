@@ -1,6 +1,6 @@
-"""Inputs of commands for many materials: files, folders, patterns such as `*.xlsx`, libraries, and samples.
+"""Finds the inputs of commands for many materials: files, folders, patterns such as `*.xlsx`, libraries, and samples.
 
-A sample is what one or several instruments have read, in one or several files.
+A sample is a specimen that one or several instruments have measured, in one or several files.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ _SAME_INCIDENCE = 1e-3  # largest difference between unit vectors
 
 @dataclass(frozen=True)
 class Sample:
-    """One sample, which one or several instruments have read.
+    """One specimen that one or several instruments have measured.
 
     Attributes:
-        name: of what is made of it.
-        parts: files, and the name that it has in each; None in a file that holds no other.
-        note: why its readings are put together, or are not; None where there was nothing to decide.
+        name: name of the output.
+        parts: files, each with the specimen's name in it; None in a file with a single specimen.
+        note: why its readings were merged or kept apart; None if there was nothing to decide.
     """
 
     name: str
@@ -57,7 +57,7 @@ class Sample:
 
 
 def safe_name(name: str) -> str:
-    """Return a name for the file of a sample."""
+    """Return a valid file name for a sample's name."""
     return "".join(c if c.isalnum() or c in "-_." else "_" for c in name).strip(".") or "sample"
 
 
@@ -129,7 +129,10 @@ def _in_samples(parts: list[_Part]) -> list[Sample]:
         spectral_first = sorted(parts, key=lambda part: -part.bands)  # others are corrected by it
         note = f"put together from {files}, in which the sample is named {name}"
         return [Sample(safe_name(name), tuple(part[:2] for part in spectral_first), note)]
-    note = f"{files} hold readings of {name} by one instrument: completed apart; --merge if they are of one sample"
+    note = (
+        f"{files} hold readings of {name} by one instrument: completed separately; use --merge if they are of one "
+        "sample"
+    )
     return [
         Sample(safe_name("_".join(filter(None, (part.path.stem, part.sample)))), (part[:2],), note)
         for part in parts
@@ -138,12 +141,12 @@ def _in_samples(parts: list[_Part]) -> list[Sample]:
 
 @dataclass(frozen=True)
 class Input:
-    """A material, or one of the samples of a file.
+    """One input of a command: a material, or one of the samples of a file.
 
     Attributes:
-        name: of what is made of it.
-        sample: which, in a file of several.
-        line: of a table that names it.
+        name: name of the output.
+        sample: name of the sample, in a file with several; None otherwise.
+        line: line of the table that names the input; None without a table.
     """
 
     name: str
@@ -180,7 +183,7 @@ def _sha256(path: Path, changed_ns: int) -> str:
 
 
 def is_many(sources: Sequence[MaterialSource]) -> bool:
-    """Return whether sources are several, or a folder or library, which stands for several."""
+    """Return whether sources may hold more than one material: several sources, a folder, or a library."""
     return len(sources) > 1 or any(isinstance(one, FileSource) and _is_several(one.path) for one in sources)
 
 
@@ -193,7 +196,7 @@ def find_inputs(
 ) -> list[Input]:
     """List the materials of sources without reading them.
 
-    Folders are searched for the wanted files at every depth; on request every sample of a file is listed.
+    Folders are searched recursively for the wanted files; with `samples`, every sample of a file is listed.
     """
     inputs: list[Input] = []
     for source in sources:
@@ -226,7 +229,7 @@ def _samples_of(path: Path) -> list[Input]:
 
 
 def require_apart(sources: Iterable[Path], folder: Path) -> None:
-    """Raise UsageError where a folder to be written to is one that is searched, or that a file is read from."""
+    """Raise UsageError if an output folder is also a source, or the folder of a source."""
     for source in sources:
         read = source if source.is_dir() else source.parent
         if read.exists() and folder.exists() and read.samefile(folder):
@@ -234,7 +237,7 @@ def require_apart(sources: Iterable[Path], folder: Path) -> None:
 
 
 def files_of(source: object) -> list[Path]:
-    """Return the files that a source of an output is read from."""
+    """Return the files from which a source is read."""
     if isinstance(source, Sample):
         return [path for path, _ in source.parts]
     if isinstance(source, Input) and isinstance(source.source, FileSource):
@@ -252,12 +255,13 @@ _EXPECTED = (
 
 
 def read_points(path: Path, model: Path, library: Path | None = None) -> tuple[list[Input], list[str]]:
-    """Read a table of places on a map, and return also the errors of invalid rows, which do not stop the rest.
+    """Read a table of places on a map; return the places, and the errors of invalid rows, which do not stop the others.
 
-    Columns are `x`, `y`, `z` or `x1`, `x2`, ... for coordinates, `latent` for all of them in one cell, or `material`
-    (also for names that read as coordinates); then `name`, without which rows are numbered, and at most one of `like`,
-    `srgb` and `reflectance`, a path from the folder of the table. Separators are comma, semicolon or tab; Excel's line
-    `sep=;` may come first. From the table of `locate` or `predict`, read latents and names.
+    The place is in the columns `x`, `y`, `z` or `x1`, `x2`, ... (coordinates), `latent` (all coordinates in one
+    cell), or `material` (a name). `name` names the output; without it, outputs are numbered. At most one of `like`,
+    `srgb` and `reflectance` gives a colour; paths are relative to the folder of the table. Columns are separated by
+    comma, semicolon or tab; Excel's line `sep=;` may come first. From a table written by `locate` or `predict`,
+    latents and names are read.
     """
     advice = "name a CSV file of points"
     text = decode(disk.read_bytes(path, advice=advice, most=disk.MOST_TEXT))
@@ -356,7 +360,9 @@ def _place(row: dict[str, str]) -> tuple[float, ...] | str:
         )
     if axes:
         if [k for k, _ in axes] != list(range(len(axes))):
-            raise UsageError("found coordinates with gaps, expected all of them")
+            raise UsageError(
+                "found gaps among the coordinates, expected columns x1, x2, ... or x, y, z, one for each axis"
+            )
         return tuple(_coordinate(row[column], column) for _, column in axes)
     if "material" in row:
         return row["material"]

@@ -1,7 +1,7 @@
-"""Readings of one sample by one or several instruments, read from files and put together, colours corrected.
+"""Reads the readings of one sample by one or several instruments, corrects their colours, and merges them.
 
-A colour correction is learned at the directions that both instruments read, and applied to all readings of the
-goniometer. For these directions its values are interpolated in half and difference angles.
+A colour correction is learned at the directions that both instruments measured, and applied to all readings of the
+goniometer. The goniometer's values at these directions are interpolated in half and difference angles.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ _SIMPLEX = 4  # points needed to interpolate in three coordinates
 
 @dataclass(frozen=True, eq=False)
 class CalibratedInstrument(Result):
-    """A colour correction that was learned from samples, whose names it has, and written.
+    """A colour correction that was learned from named samples and written to a file.
 
     Attributes:
-        left_out: samples that have no pair, with their files, and why.
+        left_out: texts that name the samples without a partner, their files, and the reason.
     """
 
     path: Path = field(metadata=entry())
@@ -62,20 +62,20 @@ class CalibratedInstrument(Result):
     @property
     @derived(row="form", json=False)
     def form(self) -> str:
-        """The form of the correction."""
+        """The mathematical form of the correction."""
         return self.correction.form
 
     @property
     def errors(self) -> dict[str, float]:
-        """Relative error, left out, by form; and without a correction. NaN where it could not be measured."""
+        """Relative leave-one-out errors by form, and without a correction; NaN if an error could not be measured."""
         return {**self.correction.errors, "none: estimated spectra": self.correction.uncorrected}
 
     @property
     @derived(json=lambda made: dict(made.ciede2000))
     def ciede2000(self) -> list[tuple[str, list[float]]]:
-        """Return every sample's CIEDE2000 (D65/2) to the reference, before and after the correction.
+        """Return the CIEDE2000 (D65/2) of every sample from the reference, before and after the correction.
 
-        The correction leaves the sample out; unknown values are NaN.
+        The correction is learned without the sample; unknown values are NaN.
         """
         colours = self.correction.colours
         if len(self.samples) == 1:
@@ -110,7 +110,7 @@ class CalibratedInstrument(Result):
     @property
     @derived()
     def notes(self) -> tuple[str, ...]:
-        """Return sentences on the range and quality of the correction."""
+        """Return sentences about the range and quality of the correction."""
         notes, n_samples = [], len(self.samples)
         if self.left_out:
             apart = first_few(self.left_out, 6, "; ", " (--json lists them)")
@@ -125,21 +125,21 @@ class CalibratedInstrument(Result):
                 "one sample determines the correction of its own colour only: in simulations the error for other "
                 "colours is one half"
                 if n_samples == 1
-                else f"{n_samples} samples determine a correction badly: in simulations the error for other colours "
+                else f"{n_samples} samples determine a correction poorly: in simulations the error for other colours "
                 "is a quarter, with six samples a sixth"
             )
             notes.append(f"{few}; give {_ENOUGH_SAMPLES} or more samples of different colours")
         return tuple(notes)
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values, beside those of the correction."""
+        """Return plain values that are added to those of the correction."""
         return self.correction.to_json() | super().to_json()
 
 
 def learn_across(pairs: Sequence[tuple[Readings, Readings]]) -> ColourCorrection:
-    """Learn the correction of an instrument by another, from their readings (reference, other) of samples.
+    """Learn the colour correction of an instrument from pairs of readings (reference, other) of the same samples.
 
-    All readings of an instrument have the same bands.
+    All readings of an instrument must have the same bands.
     """
     pairs = [(in_daylight(reference), in_daylight(other)) for reference, other in pairs]
     for pair in pairs[1:]:
@@ -156,10 +156,10 @@ def learn_across(pairs: Sequence[tuple[Readings, Readings]]) -> ColourCorrection
 
 
 def correct_colours(readings: Readings, correction: ColourCorrection) -> Readings:
-    """Return readings in the bands of the reference that a correction was learned from."""
+    """Return corrected readings, in the bands of the correction's reference instrument."""
     readings = in_daylight(readings)
     correction.source.require_same(
-        readings.bands, readings.name, "the colour correction was learned from another instrument's"
+        readings.bands, readings.name, "the colour correction was learned from another instrument"
     )
     nm = correction.reference.wavelengths_nm
     known = readings.measured.all(axis=1)
@@ -174,10 +174,10 @@ def correct_colours(readings: Readings, correction: ColourCorrection) -> Reading
 
 
 def merge(reference: Readings, other: Readings) -> tuple[Readings, ColourCorrection | None]:
-    """Merge readings of one sample by two instruments, in the bands of the first; also return the correction.
+    """Merge readings of one sample by two instruments in the bands of the first; also return the colour correction.
 
-    The reference is a spectrophotometer, to whose colours the other is corrected: a goniometer, in the same bands,
-    which leave nothing to correct (None), or in three.
+    The reference is a spectrophotometer. The other instrument is a goniometer, whose colours are corrected to those
+    of the reference if it has three bands; in the same bands there is nothing to correct, and the correction is None.
     """
     if reference.bands == other.bands:
         return _joined(reference, other), None
@@ -197,10 +197,10 @@ def merge(reference: Readings, other: Readings) -> tuple[Readings, ColourCorrect
 def between_measurements(parts: Sequence[Readings]) -> Between | None:
     """Return the differences between measurements of one sample beyond their repeatability.
 
-    None if no two share a direction pair.
+    `parts` are in the same bands, each from one file or instrument. The result is None if no two share a direction
+    pair. One variance between measurements is estimated over all direction pairs.
 
-    Parts are in the same bands, each of one file or instrument. Source: Mandel & Paule 1970; over all pairs of
-    directions with one between-measurement variance.
+    Source: Mandel & Paule 1970.
     """
     at = np.vstack([_coordinates(part.wi, part.wo) for part in parts])
     values = np.vstack([part.values for part in parts])
@@ -292,13 +292,17 @@ def read(
     gloss: GlossUnits = NO_GLOSS,
     unit: str | None = None,
 ) -> tuple[Readings, ColourCorrection | None]:
-    """Read one sample from its files, with the colour correction that was learned from two instruments' files.
+    """Read one sample from its files; also return the colour correction learned from the files of two instruments.
 
-    The correction is None if there was none to learn.
+    Args:
+        paths: files of the sample; the instrument with the correct colours comes first.
+        sample: name of the sample, if a file has several.
+        correction: file of `manifold calibrate`, which is applied to readings in three bands.
+        gloss: gloss units by angle in degrees, which replace gloss in the files.
+        unit: unit of values in files that name none, see `registry.read`.
 
-    The instrument whose colours are right stands first. `correction`, a file of `manifold calibrate`, is applied to
-    readings in three bands; `gloss`, in units by angle in degrees, goes before that of the files; `unit` is of values
-    in files that say none, see `registry.read`.
+    Returns:
+        The readings, and the correction; None if none was learned.
     """
     is_only = len(paths) == 1
     readings = [
@@ -315,7 +319,7 @@ def read(
 def read_sample(
     sample: Sample, correction: Path | None = None, gloss: GlossUnits = NO_GLOSS
 ) -> tuple[Readings, ColourCorrection | None]:
-    """Read a sample that was found in files, see `inputs.find_samples`; return readings and correction like `read`."""
+    """Read a sample that `inputs.find_samples` found; return its readings and correction like `read`."""
     readings = [registry.read_readings(path, name, _MOST_READINGS) for path, name in sample.parts]
     merged, learned = _merged(readings, correction, gloss)
     return merged if sample.note is None else merged.with_note(sample.note), learned
@@ -340,16 +344,16 @@ def _merged(
 
 
 def calibrate(paths: Sequence[Path], output: Path, *, allow_harm: bool = False) -> CalibratedInstrument:
-    """Learn an instrument's colour correction from samples that two instruments read, and write it as JSON.
+    """Learn an instrument's colour correction from samples that two instruments measured, and write it as JSON.
 
     Args:
-        paths: by turns the reference's and the other's, files or folders. Samples that have the same name in both are
-            used; two files of one sample each may name it differently.
+        paths: files or folders, alternately of the reference and of the other instrument. Samples with the same name
+            in both are used; in two files with a single sample each, the names may differ.
         output: the file to write.
-        allow_harm: write also a correction that is worse than none by its leave-one-out errors.
+        allow_harm: write the correction even if its leave-one-out errors are larger than those without a correction.
 
     Raises:
-        UsageError: paths are not pairs, no sample is in both, or the correction is worse than none.
+        UsageError: the paths are not pairs, no sample is in both, or the correction is worse than none.
     """
     disk.require_writable(output)
     if len(paths) % 2 or not paths:
@@ -377,10 +381,12 @@ def calibrate(paths: Sequence[Path], output: Path, *, allow_harm: bool = False) 
 def pairs_of(reference: Path, other: Path) -> tuple[list[tuple[Readings, Readings]], list[str]]:
     """Return pairs of readings of samples with the same name under two paths.
 
-    Also return the reason for each sample without a partner.
+    The second result holds a text for each sample without a partner, which states the reason.
     """
     if reference == other:
-        raise UsageError(f"{reference} is named twice, expected the reference's and another instrument's")
+        raise UsageError(
+            f"{reference} is given twice, expected files of the reference and of another instrument"
+        )
     first, second = _samples_in(reference), _samples_in(other)
     if len(first) == len(second) == 1 and not (reference.is_dir() or other.is_dir()):
         second = dict.fromkeys(first, *second.values())  # whatever its name

@@ -1,7 +1,7 @@
-"""The errors to expect from pictures of a ball, by the place of their lamp, and where to hold it next.
+"""Predicts the errors of estimates from photographs of a sphere for lamp positions, and suggests the next positions.
 
-The library's materials are left out, one after the other, and found in pictures of them by the others. Of an isotropic
-material only the angle between lamp and camera matters.
+Each of the library's materials is left out and estimated from simulated photographs with the others. For an isotropic
+material, only the angle between lamp and camera matters.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from manifold.library.store import Library
 from manifold.model.estimator import Observation
 
 ANGLES_DEG = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0, 90.0, 110.0, 130.0)
-"""Between lamp and camera, seen from the ball, that are tried."""
+"""Angles between lamp and camera, seen from the sphere, that are tried."""
 
 _LEFT_OUT = 10  # materials by which errors are measured
 _ACROSS, _WITHIN = 18, 0.95  # pixels across a ball, and of its radius
@@ -38,14 +38,14 @@ _RGB = Bands(None)
 
 
 class Determined(NamedTuple):
-    """Median errors over materials that were left out.
+    """Median errors over left-out materials.
 
     Attributes:
-        angles_deg: between lamps and camera, of all pictures.
-        ball: CIEDE2000 in the judged lights.
+        angles_deg: angles between lamps and camera, of all photographs.
+        ball: ball error, mean CIEDE2000 in the five test lights.
         colour: CIEDE2000 in the geometry 45/0.
-        gloss: at 60 degrees, relative.
-        flop: of the difference of L* between 15 and 110 degrees from the mirror direction, of light at 45 degrees.
+        gloss: relative error of the gloss at 60 degrees.
+        flop: error of the difference of L* between aspecular angles of 15 and 110 degrees, with light at 45 degrees.
     """
 
     angles_deg: tuple[float, ...]
@@ -60,8 +60,8 @@ class LampPlan:
     """Recommended positions of a lamp.
 
     Attributes:
-        alone: what one picture determines, beside those there are, by its lamp's angle.
-        next: the pictures to take, each with those before it, in order.
+        alone: errors with one further photograph, for each angle of its lamp.
+        next: the photographs to take, in order, each with the errors after it.
     """
 
     alone: tuple[Determined, ...]
@@ -71,9 +71,10 @@ class LampPlan:
 def plan_lamps(
     library: LibraryAtoms | Path, count: int, known: Sequence[Observation] | None = None
 ) -> LampPlan:
-    """Return the lamps that minimise the expected error of the ball, chosen one after the other.
+    """Return the lamps that minimise the expected ball error, chosen one after the other.
 
-    `library` may be a library or its atoms of values; `known` holds the rows of existing pictures, channel by channel.
+    `library` is the path of a library, or its atoms of values; `known` holds the rows of existing photographs by
+    channel.
     """
     atoms = (
         library if isinstance(library, LibraryAtoms) else LibraryAtoms.of_library(Library(library)).in_values
@@ -96,7 +97,7 @@ def plan_lamps(
 def determined(
     atoms: LibraryAtoms, angles_deg: Sequence[float], known: Sequence[Observation] | None
 ) -> Determined:
-    """Return the errors to expect from pictures under far lamps at angles from the camera; see `plan_lamps`."""
+    """Return the errors to expect from photographs under distant lamps at angles from the camera; see `plan_lamps`."""
     pictures = [picture_rows(atoms, angle) for angle in angles_deg]
     if known is not None:
         level = float(np.mean(known[0].weights))
@@ -126,7 +127,7 @@ def determined(
 
 @lru_cache(maxsize=len(ANGLES_DEG))
 def picture_rows(atoms: LibraryAtoms, angle_deg: float) -> list[Observation]:
-    """Return pixels of atoms in a picture under one lamp, channel by channel."""
+    """Return the pixels of atoms in a photograph under one lamp, channel by channel."""
     across = _WITHIN * (2.0 * (np.arange(_ACROSS) + 0.5) / _ACROSS - 1.0)
     x, y = (grid.ravel() for grid in np.meshgrid(across, across))
     inside = np.hypot(x, y) < _WITHIN

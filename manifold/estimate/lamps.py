@@ -1,8 +1,8 @@
-"""Lamps that light a photographed ball: discs in the camera's frame, far away or near.
+"""Lamps that light a photographed sphere: discs in the camera's frame, distant or near.
 
-The frame is that of photometric stereo: x to the right, y up, z towards the camera. Photographs in the light of lamps
-are relative to a white diffuser that faces the lamp at its distance. A mirror ball in the same place shows the light
-around it, and where the camera clipped that, lamps.
+The frame is that of photometric stereo: x to the right, y up, z towards the camera. Values of photographs under lamps
+are relative to a white diffuser that faces the lamp at its distance. A photograph of a mirror ball in the same place
+shows the surrounding light; its clipped spots are treated as lamps.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from manifold.estimate.pixels import Blocks, Camera, frames, sampled_surface
 from manifold.formats.text import data_lines, decode, list_rows, number, with_whole_name
 
 LEAST_DISTANCE = 1.2
-"""The least distance of a lamp from the middle of a ball, in its radii."""
+"""Smallest distance of a lamp from the centre of a sphere, in radii of the sphere."""
 MOST_DISTANCE = 1e6
-"""The largest distance of a near lamp or camera; farther ones have no distance."""
+"""Largest distance of a near lamp or camera, in radii of the sphere; beyond it they are treated as infinitely far."""
 SAMPLES = 24
-"""Points of a block that are lit."""
+"""Number of points per block of pixels at which the light of lamps is evaluated."""
 
 _PICTURE_SAMPLES = 4  # points of a lamp's disc
 _RADIUS_DEG = 0.25  # radius of the sun, for lamps of which none is known
@@ -43,13 +43,13 @@ _LEAST_SPOT = 0.1  # share of the largest spot's light; smaller ones stay as the
 
 @dataclass(frozen=True, eq=False)
 class Lamp:
-    """A disc that faces the ball.
+    """A lamp: a luminous disc that faces the sphere.
 
     Attributes:
-        direction: to its middle, unit vector (3,) in the camera's frame.
-        distance: from the middle of the ball, in its radii.
-        colour: of its light, relative, in the channels of the camera, shape (3,).
-        radius_deg: seen from the ball.
+        direction: unit vector to the centre of the disc in the camera's frame, shape (3,).
+        distance: distance from the centre of the sphere, in radii of the sphere.
+        colour: relative colour of the light in the channels of the camera, shape (3,).
+        radius_deg: angular radius of the disc, seen from the sphere.
     """
 
     direction: Array
@@ -80,7 +80,7 @@ class Lamp:
 
 
 def parse_lamp(text: str, pictures: Sequence[str] = ()) -> list[Lamp]:
-    """Return the lamps of `X,Y,Z`, `X,Y,Z,DISTANCE`, `flash`, or a file, see `read_lamps`."""
+    """Parse lamps from `X,Y,Z`, `X,Y,Z,DISTANCE`, `flash`, or the path of a file, see `read_lamps`."""
     if text == "flash":
         return [Lamp(np.array([0.0, 0.0, 1.0]))]
     if Path(text).is_file():
@@ -102,15 +102,14 @@ _OF_PICTURE = ("name", "file", "filename", "picture", "image")
 
 
 def read_lamps(path: Path, pictures: Sequence[str] = ()) -> list[Lamp]:
-    """Read the lamps of a text file, a line each: `[picture] X Y Z`, and intensity in one channel or three.
+    """Read the lamps of a text file with lines `[picture] X Y Z [intensity]`, the intensity in one or three channels.
 
-    A first line of one number is how many follow, as in photometric-stereo data sets and RTI's `.lp` files. Lines may
-    begin with their number. A header
-    may order the columns (`picture`, `x`, `y`, `z`, `intensity`, or `r`, `g`, `b`). Lamps of named pictures are
-    returned in the order of `pictures`, which are names of files.
+    As in photometric-stereo data sets and RTI's `.lp` files, the first line may hold the number of lamps, and lines
+    may begin with their number. A header may order the columns (`picture`, `x`, `y`, `z`, `intensity`, or `r`, `g`,
+    `b`). If the file names pictures, the lamps are returned in the order of `pictures`, a list of file names.
 
     Raises:
-        FileFormatError: a line is no lamp, or the names are not those of the pictures.
+        FileFormatError: a line is not a lamp, or the names are not those of the pictures.
     """
     text = decode(disk.read_bytes(path, advice="name a text of lines X Y Z", most=disk.MOST_TEXT))
     lines = data_lines(text.split("\n"), marks=("#",))
@@ -198,9 +197,9 @@ def _in_order(path: Path, lamps: Mapping[str, Lamp], pictures: Sequence[str]) ->
 
 
 def lamp_pairs(blocks: Blocks, camera: Camera, lamps: Sequence[Lamp]) -> tuple[Array, Array, Array]:
-    """Return the direction pairs of each block, and the light from there, as `pixels.direction_pairs` does.
+    """Return the direction pairs of each block, and the light of each pair, as `pixels.direction_pairs` does.
 
-    A block's value is the mean over `SAMPLES` of its points, each lit by every lamp from one point of its disc.
+    A block's value is the mean over `SAMPLES` of its points; each point is lit by one point of every lamp's disc.
     """
     normal, view, u = sampled_surface(blocks, camera, SAMPLES)
     frame = frames(normal)
@@ -212,10 +211,10 @@ def lamp_pairs(blocks: Blocks, camera: Camera, lamps: Sequence[Lamp]) -> tuple[A
 
 
 def lit(normal: Array, frame: Array, camera: Camera, lamp: Lamp, u: Array) -> tuple[Array, Array]:
-    """Return directions (..., 3) in frames of the surface to points of a lamp's disc, and irradiance (..., 3).
+    """Return the directions (..., 3) to points of a lamp's disc, in frames of the surface, and the irradiance (..., 3).
 
-    Normals of points of the ball are in the world, (..., 3), frames there (..., 3, 3), the lamp in the camera's frame;
-    u is in [0, 1), (..., 2).
+    `normal` (..., 3) and `frame` (..., 3, 3) are in the world, the lamp in the camera's frame; the variates u (...,
+    2) in [0, 1) select points of the disc.
     """
     axis = lamp.direction @ np.array(camera.axes)
     towards = np.broadcast_to(axis, normal.shape)
@@ -237,9 +236,9 @@ def lit(normal: Array, frame: Array, camera: Camera, lamp: Lamp, u: Array) -> tu
 
 
 def lamp_picture(brdf: BRDF, camera: Camera, lamps: Sequence[Lamp], size: int, margin: float) -> Array:
-    """Render a ball under lamps without their colours, as its camera sees it, black beside it: (size, size, B).
+    """Render a sphere under lamps, without their colours, on black; return an image (size, size, B).
 
-    The margin around the ball is in radii.
+    `margin` is the margin around the sphere in radii.
     """
     across = (1.0 + margin) * (2.0 * (np.arange(size) + 0.5) / size - 1.0)
     x, y = np.meshgrid(across, -across)
@@ -258,9 +257,9 @@ def lamp_picture(brdf: BRDF, camera: Camera, lamps: Sequence[Lamp], size: int, m
 
 
 def unwrapped(photograph: Photograph, circle: Circle, camera: Camera) -> Array:
-    """Return the environment that a mirror ball shows a far camera, by latitude and longitude, shape (H, 2 H, 3).
+    """Return the environment that a mirror ball shows a distant camera, as a latitude-longitude image (H, 2 H, 3).
 
-    Directions behind the ball are filled from its rim; directions that the photograph does not show are black.
+    Directions behind the ball are filled from its rim; other directions that the photograph does not show are black.
     """
     world = directions(_HEIGHT)[..., [1, 0, 2]]  # from straight ahead to the right
     seen = world @ np.array(camera.axes).T  # in the camera's frame
@@ -278,9 +277,9 @@ def unwrapped(photograph: Photograph, circle: Circle, camera: Camera) -> Array:
 
 
 def clipped_spots(photograph: Photograph, circle: Circle) -> tuple[Lamp, ...]:
-    """Return lamps for clipped spots of a mirror ball's photograph, as bright as the largest value, largest first.
+    """Return lamps for the clipped spots in a photograph of a mirror ball, largest first.
 
-    Their strength is `Lamp.colour` relative to a white diffuser that faces them; their true one is more.
+    Their `colour`, relative to a white diffuser that faces them, is that of the clipped values, a lower bound.
     """
     rows, columns = np.indices(photograph.is_clipped.shape) + 0.5
     x, y = (columns - circle.x) / circle.radius, (circle.y - rows) / circle.radius

@@ -1,4 +1,4 @@
-"""Readings predicted from the others of the same material, as a check of its completion."""
+"""Checks a completion by predicting each reading from the other readings of the same material."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from manifold.estimate.completion import Completion
 from manifold.estimate.residual import coordinates
 
 MOST_READINGS = 30
-"""Most readings that are left out in turn, at about 0.1 s each."""
+"""Largest number of readings for which each is left out in turn; each takes about 0.1 s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,8 +20,9 @@ class LeftOutReadings:
     """Errors of predicting each reading from the others.
 
     Attributes:
-        relative: of cube roots over the bands of the reading, shape (P,).
-        ciede2000: under the light and observer of `Completion.viewing`, shape (P,); None where readings have no colour.
+        relative: relative cube-root errors over the bands of the reading, shape (P,).
+        ciede2000: CIEDE2000 under the light and observer of `Completion.viewing`, shape (P,); None if readings have
+            no colour.
     """
 
     relative: Array
@@ -31,7 +32,7 @@ class LeftOutReadings:
 def left_out_readings(completion: Completion) -> LeftOutReadings | None:
     """Predict each reading from the completion of the others.
 
-    None beside pictures, of a single reading, and of more than `MOST_READINGS`.
+    Returns None if there are pictures, a single reading, or more than `MOST_READINGS` readings.
     """
     evidence = completion.evidence
     if evidence.pictures or not 2 <= len(completion.readings) <= MOST_READINGS:

@@ -1,8 +1,8 @@
-"""The ball as its own light probe: its outline and the lamps of photographs, from its highlights and shading.
+"""Estimates the outline of a photographed sphere and the lamps from its own highlights and shading.
 
-Circle, lamps, gains and a shading are fitted to the pixels together. Under a far lamp and a far camera, the light of an
-isotropic, reciprocal material over the cosine of the lamp is a symmetric function of the cosines of lamp and camera,
-whatever the material. The shading here is symmetric, too, so its errors do not turn a lamp to the camera or away.
+The circle, the lamps, the gains and a shading function are fitted to the pixels together. Under a distant lamp and
+camera, the BRDF of an isotropic, reciprocal material on a sphere is a symmetric function of the cosines of lamp and
+camera. The fitted shading is symmetric as well, so its errors do not bias the lamp towards the camera or away.
 """
 
 from __future__ import annotations
@@ -67,14 +67,14 @@ _ROUNDS = 10  # of robust least squares
 
 @dataclass(frozen=True, eq=False)
 class Probe:
-    """The estimated light of photographs of one ball.
+    """The estimated light of photographs of one sphere.
 
     Attributes:
-        circle: the outline, alike in all.
-        gains: of every photograph, relative to the first.
+        circle: the outline, the same in all photographs.
+        gains: brightness of every photograph relative to the first.
         lamp_deg: standard deviation of every lamp's direction, in degrees.
         circle_error: standard deviation of centre and radius, in radii.
-        residual: of every photograph's cube roots, relative.
+        residual: relative cube-root residual of every photograph.
     """
 
     circle: Circle
@@ -86,7 +86,7 @@ class Probe:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Return sentences on the estimated lamps and outline, with their uncertainties."""
+        """Return sentences about the estimated lamps and outline, with their uncertainties."""
         shown = "; ".join(
             f"{lamp} +- {off:.1f} degrees" for lamp, off in zip(self.lamps, self.lamp_deg, strict=True)
         )
@@ -96,9 +96,10 @@ class Probe:
 def find_light(
     photographs: Sequence[Photograph], circle: Circle | None = None, distance: float = np.inf
 ) -> Probe:
-    """Estimate a fixed ball's outline, and the one lamp of every photograph; photographs have one size.
+    """Estimate the outline of a sphere that did not move, and the single lamp of every photograph.
 
-    An approximate circle is refined; lamps are `distance` radii from the middle of the ball.
+    All photographs have the same size. A given circle is refined. The lamps are `distance` radii from the sphere's
+    centre.
     """
     sizes = {one.values.shape[:2] for one in photographs}
     if len(sizes) > 1:
@@ -122,9 +123,10 @@ def find_light(
 
 
 def given_lamp_notes(photograph: Photograph, circle: Circle, lamp: Lamp) -> tuple[str, ...]:
-    """Return a doubt about a given lamp if the ball looks lit from elsewhere.
+    """Return a warning about a given lamp if the sphere looks lit from elsewhere.
 
-    Of materials that are no sum of a diffuse part and a highlight a picture alone says nothing, nor of near lamps.
+    There is no warning for near lamps, or for materials that are not a sum of a diffuse part and a highlight, because
+    a single photograph does not determine their lamp.
     """
     if np.isfinite(lamp.distance):
         return ()
@@ -139,15 +141,16 @@ def given_lamp_notes(photograph: Photograph, circle: Circle, lamp: Lamp) -> tupl
         return ()
     return (
         f"{photograph.path.name}: the lamp was given at {lamp}, but the ball looks lit from {seen.lamps[0]}, "
-        f"{apart:.0f} degrees away: is it the lamp of this picture, and x to the right, y up, z to the camera?",
+        f"{apart:.0f} degrees away: check that it is the lamp of this picture, with x to the right, y up, z to the "
+        "camera",
     )
 
 
 def doubt_encoding(photographs: Sequence[Photograph], probe: Probe) -> tuple[Probe, tuple[str, ...]]:
-    """Return a doubt about photographs that were decoded as sRGB if one lamp explains their codes as linear values.
+    """Return a warning if photographs that were decoded as sRGB seem to hold linear values.
 
-    These have to be explained well, and clearly better than those of the probe, whose lamps are then as uncertain as
-    the lamps of the codes are far from them.
+    That is so if one lamp explains the undecoded values well, and clearly better than the probe explains the decoded
+    ones. The uncertainty of the probe's lamps is then increased to the angle between both estimates.
     """
     if not all(one.is_encoded for one in photographs):
         return probe, ()
@@ -216,10 +219,11 @@ def _with_others(pixels: _Pixels, fit: _Fit, chosen: Indices) -> tuple[_Pixels, 
 def edges_on_limb(
     photographs: Sequence[Photograph], circle: Circle, lamps: Array, outline: Circle, deviation: float
 ) -> tuple[Circle, Array]:
-    """Return the circle through edges near a circle where lamps (P, 3) light the ball, and the information about it.
+    """Refine a circle by the edges near it where lamps (P, 3) light the sphere; return it and its information matrix.
 
-    The information (3, 3) is of the centre, right and up, and the radius, in radii. An edge is where the value is
-    midway between those on its two sides. Before the edges, the outline is known with a standard deviation.
+    The information matrix (3, 3) is that of the centre (right, up) and the radius, in radii. An edge is where the
+    value is midway between the values on its two sides. The prior is `outline`, with the standard deviation
+    `deviation`.
     """
     before = (
         np.array([outline.x - circle.x, circle.y - outline.y, outline.radius - circle.radius]) / circle.radius

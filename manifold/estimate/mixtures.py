@@ -1,7 +1,8 @@
-"""Mixtures of two atoms and a Lambertian, with prior and posterior probabilities.
+"""Evaluates mixtures of two atoms and a Lambertian, with prior and posterior probabilities.
 
-A few readings, or pixels of one picture, do not determine which materials a material resembles, and thus its highlight
-where nothing was seen: many mixtures fit. All are evaluated, and averaged by their posterior probability.
+A few readings, or the pixels of one picture, do not determine which library materials a material resembles, and
+therefore not its highlight in unobserved directions: many mixtures fit. All mixtures are evaluated, and averaged with
+their posterior probabilities.
 """
 
 from __future__ import annotations
@@ -36,16 +37,16 @@ _LEAST_SCALE = 0.1  # of atoms: beside smaller ones, the Lambertian is what is s
 _WORLD_COATED = 0.2  # the same for `Alike`, where kinds that a library lacks count: plastics, varnishes
 
 LIKE_ONE = 0.8
-"""Prior probability that a material is like a single one of the library, in one band or between two."""
+"""Prior probability that a material resembles a single library material, in one of its bands or between two bands."""
 
 COATED = 0.05
-"""Prior probability that a material is like dielectric coats, and not like those of the library."""
+"""Prior probability that a material resembles the dielectric coats instead of library materials."""
 
 SCALE_SPREAD = 0.15
-"""Standard deviation of the scale of atoms about 1, before anything is read."""
+"""Prior standard deviation of the scale of atoms about 1."""
 
 LAMBERTIAN_SPREAD = 0.5
-"""Standard deviation of the weight of the Lambertian, before anything is read."""
+"""Prior standard deviation of the weight of the Lambertian."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,11 +57,11 @@ class Mixtures:
         first, second: i and j, shape (H,).
         share: x, shape (H,).
         scale, lambertian: a and l, shape (H,).
-        log_prior: logarithm of their probability before anything is seen, shape (H,).
-        misfit: their squared error over its variance, shape (H,).
-        n_atoms: n; the Lambertian is atom n.
-        log_posterior: logarithm of their probability, shape (H,); up to `evidence`, that of what was seen.
-        evidence: likewise, up to a constant.
+        log_prior: logarithms of the prior probabilities, shape (H,).
+        misfit: squared errors over their variance, shape (H,).
+        n_atoms: n; the Lambertian has index n.
+        log_posterior: logarithms of the posterior probabilities, shape (H,); the prior ones before `weighed`.
+        evidence: logarithm of the marginal likelihood of the observations, up to a constant.
         count: number of independent errors in the misfit.
     """
 
@@ -80,8 +81,8 @@ class Mixtures:
     def fitted(cls, X: Array, y: Array, material_of: Indices, n_library: int | None = None) -> Mixtures:
         """Fit all mixtures of atoms, with the scale and Lambertian of each that have the largest posterior density.
 
-        X (n + 1, R) holds the atoms and, last, the Lambertian at R observations, and y (R,) the observations, both
-        whitened: errors have variance 1. `material_of` and `n_library` are as of `posterior`.
+        X (n + 1, R) holds the atoms and, last, the Lambertian at R observations, and y (R,) the observations. Both
+        are whitened, so that errors have variance 1. `material_of` and `n_library` are described in `posterior`.
         """
         return cls.of_products(X @ X.T, X @ y, float(y @ y), material_of, n_library)
 
@@ -94,9 +95,13 @@ class Mixtures:
         material_of: Indices,
         n_library: int | None = None,
     ) -> Mixtures:
-        """Fit as `fitted` does, from inner products.
+        """Fit all mixtures as `fitted` does, from inner products.
 
-        They are those of atoms and Lambertian, (n + 1, n + 1), of these with what was seen, (n + 1,), and of that.
+        Args:
+            inner: inner products of the atoms and, last, the Lambertian, shape (n + 1, n + 1).
+            with_seen: inner products of these with the observations, shape (n + 1,).
+            square: squared norm of the observations.
+            material_of, n_library: see `posterior`.
         """
         N = int(material_of[-1])
         n = len(material_of) - 1
@@ -115,18 +120,19 @@ class Mixtures:
     def weighed(self, count: float, norm: Array, exponent: float) -> Mixtures:
         """Return the mixtures with posterior probabilities.
 
-        The likelihood is Student's t, divided by a power of the norm.
-
-        Errors are relative to the norm of mixture and residual together; otherwise the darkest mixture would be the
-        best. The misfit is the sum of `count` independent errors; the squared norm (H,) > 0 is that of the mixtures
-        over all directions and of what they do not explain.
+        The likelihood is Student's t, divided by a power of the norm. Without the norm, the darkest mixture would be
+        the most probable. The misfit is the sum of `count` independent errors. `norm` (H,) > 0 is the squared norm of
+        each mixture over all directions, plus that of its residual.
         """
         log = self.log_prior + log_likelihood(self.misfit, count) - 0.5 * exponent * np.log(norm)
         evidence = log_sum(log)
         return replace(self, log_posterior=log - evidence, evidence=evidence, count=count)
 
     def alike(self, material_of: Indices, n_library: int | None = None) -> Alike:
-        """Return the single atoms that explain the observations about as well; arguments as of `posterior`."""
+        """Return the single atoms that explain the observations about as well as the best.
+
+        The arguments are described in `posterior`.
+        """
         n = self.n_atoms
         prior = material_prior(int(material_of[-1]), n_library, _WORLD_COATED)[material_of[:n]]
         log = np.log(prior) + _TEMPERED * log_likelihood(self.misfit[:n], self.count)
@@ -134,28 +140,28 @@ class Mixtures:
 
     @property
     def probability(self) -> Array:
-        """Posterior, of sum 1, shape (H,)."""
+        """Posterior probabilities, which sum to 1, shape (H,)."""
         return np.exp(self.log_posterior)
 
     def of(self, values: Array) -> Array:
-        """Return a linear functional of the mixtures, from that of atoms and Lambertian (n + 1,): shape (H,)."""
+        """Return a linear functional of the mixtures (H,) from its values for the atoms and the Lambertian (n + 1,)."""
         of_pair = self.share * values[self.first] + (1.0 - self.share) * values[self.second]
         return self.scale * of_pair + self.lambertian * values[-1]
 
     def norm(self, inner: Array) -> Array:
-        """Return squared norms of the mixtures, shape (H,).
+        """Return the squared norms of the mixtures, shape (H,).
 
-        The inner products are those of atoms and Lambertian, (n + 1, n + 1).
+        `inner` holds the inner products of the atoms and, last, the Lambertian, shape (n + 1, n + 1).
         """
         return self.norm_of(products(inner, self.first, self.second, self.share))
 
     def norm_of(self, products: tuple[Array, Array, float]) -> Array:
-        """Return squared norms of the mixtures, shape (H,), from their `products` before scale and Lambertian."""
+        """Return the squared norms of the mixtures, shape (H,), from the `products` of unscaled mixtures."""
         aa, al, ll = products
         return self.scale**2 * aa + 2.0 * self.scale * self.lambertian * al + self.lambertian**2 * ll
 
     def weights(self, chosen: Indices) -> Array:
-        """Return weights of atoms and Lambertian in h of the mixtures, shape (h, n + 1)."""
+        """Return the weights of the atoms and the Lambertian in h chosen mixtures, shape (h, n + 1)."""
         weights, k = np.zeros((len(chosen), self.n_atoms + 1)), np.arange(len(chosen))
         weights[k, self.first[chosen]] += self.scale[chosen] * self.share[chosen]
         weights[k, self.second[chosen]] += self.scale[chosen] * (1.0 - self.share[chosen])
@@ -163,7 +169,7 @@ class Mixtures:
         return weights
 
     def most_probable(self, count: int) -> Indices:
-        """Return the mixtures of the largest probability, at most `count`, most probable first."""
+        """Return the indices of the `count` most probable mixtures, most probable first."""
         count = min(count, len(self.log_posterior))
         some = np.sort(np.argpartition(-self.log_posterior, count - 1)[:count])
         return some[np.argsort(-self.log_posterior[some], kind="stable")]
@@ -171,16 +177,16 @@ class Mixtures:
 
 @dataclass(frozen=True, eq=False)
 class Alike:
-    """Single atoms `a g + l L` that explain observations about as well as the best one.
+    """Single atoms with a Lambertian, `a g + l L`, that explain observations about as well as the best atom.
 
-    Their likelihood is tempered. Posterior probabilities of mixtures are too sure of highlights that nobody measured:
-    a few close fits take all of them.
+    Their likelihood is tempered, because the posterior probabilities of mixtures are overconfident about unmeasured
+    highlights: a few close fits take all the probability.
 
     Attributes:
-        probability: of A atoms, of sum 1, shape (A,).
-        atoms: which they are, shape (A,).
+        probability: probabilities of A atoms, which sum to 1, shape (A,).
+        atoms: indices of the atoms, shape (A,).
         scale, lambertian: a and l, shape (A,).
-        base: which atom is the Lambertian.
+        base: index of the Lambertian among the atoms.
     """
 
     probability: Array
@@ -191,29 +197,29 @@ class Alike:
 
     @property
     def as_bright_as_atoms(self) -> Alike:
-        """Return them scaled so that their atoms have scale 1: as bright as the library's materials are."""
+        """Return the atoms scaled so that `scale` is 1, as bright as the library's materials."""
         scale = np.maximum(self.scale, _LEAST_SCALE)
         return replace(self, scale=self.scale / scale, lambertian=self.lambertian / scale)
 
     def of(self, values: Array) -> Array:
-        """Return linear functionals of them, from those of all atoms (n, P): shape (A, P)."""
+        """Return P linear functionals of these atoms, shape (A, P), from those of all atoms (n, P)."""
         return np.asarray(
             self.scale[:, None] * values[self.atoms] + np.outer(self.lambertian, values[self.base])
         )
 
     def geometric_mean(self, errors: Array) -> float:
-        """Return the mean of errors (A,), each between a thousandth and a thousand, by their logarithms."""
+        """Return the geometric mean of errors (A,), weighted by probability; each is limited to 0.001 to 1000."""
         return float(np.exp(self.probability @ np.log(np.clip(errors, 1e-3, 1e3))))
 
 
 @dataclass(frozen=True, eq=False)
 class Hypotheses:
-    """Hypotheses about a material that was seen: mixtures of one or two materials.
+    """Hypotheses about an observed material: mixtures of one or two materials.
 
     Attributes:
-        probability: of H hypotheses, of sum 1, most probable first, shape (H,).
-        weights: of n atoms, mean over bands, shape (H, n).
-        mean: weights in every band, averaged over hypotheses, shape (B, n).
+        probability: probabilities of H hypotheses, which sum to 1, most probable first, shape (H,).
+        weights: weights of n atoms, averaged over the bands, shape (H, n).
+        mean: weights in every band, averaged over the hypotheses, shape (B, n).
         alike: single atoms that explain the observations about as well.
     """
 
@@ -223,7 +229,10 @@ class Hypotheses:
     alike: Alike
 
     def among(self, index: Indices, n: int) -> Hypotheses:
-        """Return the hypotheses with weights of n atoms, of which theirs are some, by index."""
+        """Return the hypotheses with weights of n atoms.
+
+        `index` gives the positions of their present atoms among these.
+        """
         weights, mean = np.zeros((len(self.weights), n)), np.zeros((len(self.mean), n))
         weights[:, index], mean[:, index] = self.weights, self.mean
         alike = replace(self.alike, atoms=index[self.alike.atoms], base=int(index[self.alike.base]))
@@ -231,18 +240,19 @@ class Hypotheses:
 
 
 def material_prior(N: int, n_library: int | None = None, coated: float = COATED) -> Array:
-    """Return prior probabilities of N materials, of which all but the first n are coats: shape (N,)."""
+    """Return the prior probabilities (N,) of N materials; all except the first `n_library` are coats."""
     n = N if n_library is None else n_library
     coated = coated if n < N else 0.0
     return np.repeat([(1.0 - coated) / n, coated / max(N - n, 1)], [n, N - n])
 
 
 def log_prior_of(first: Indices, second: Indices, prior: Array) -> Array:
-    """Return log prior probabilities of pairs of N materials, (H,); equal indices mean a single one.
+    """Return the log prior probabilities (H,) of pairs of N materials; equal indices mean a single material.
 
-    Those of one material have its prior (N,), see `material_prior`, times `LIKE_ONE` together. Those of two have the
-    rest: measured ones their share of it, the others the share of coats, most of which are of two coats: a highlight
-    and its haze.
+    Mixtures of one material together have the probability `LIKE_ONE`, shared by the materials' prior (N,), see
+    `material_prior`. Mixtures of two materials have the rest: pairs of measured materials get the prior share of
+    measured materials, and all other pairs the share of coats, most of which goes to pairs of coats, a highlight and
+    its haze.
     """
     is_one = first == second
     one = prior[first] / np.maximum(np.bincount(first[is_one], minlength=len(prior)), 1)[first]
@@ -255,12 +265,12 @@ def log_prior_of(first: Indices, second: Indices, prior: Array) -> Array:
 
 
 def log_likelihood(misfit: Array, count: float) -> Array:
-    """Return the log density of Student's t up to a constant, at the sum of `count` standardised squared errors."""
+    """Return the log density of Student's t, up to a constant, for a sum of `count` standardised squared errors."""
     return np.asarray(-0.5 * (_FREEDOM + count) * np.log1p(misfit / _FREEDOM))
 
 
 def log_sum(log: Array) -> float:
-    """Return the logarithm of the sum of values whose logarithms are given, without overflow; at least one is finite.
+    """Return the logarithm of the sum of values, given their logarithms, without overflow; one at least must be finite.
 
     SciPy's `logsumexp` checks cases that do not occur here, and takes six times as long.
     """
@@ -269,11 +279,10 @@ def log_sum(log: Array) -> float:
 
 
 def products(inner: Array, first: Indices, second: Indices, share: Array) -> tuple[Array, Array, float]:
-    """Return inner products of mixtures `x g_i + (1 - x) g_j`, (H,), and with the Lambertian, (H,).
+    """Return the inner products of mixtures `x g_i + (1 - x) g_j` with themselves (H,) and with the Lambertian (H,).
 
-    The third value is the Lambertian's own.
-
-    From those of atoms and, last, the Lambertian, shape (n + 1, n + 1).
+    The third value is the Lambertian's squared norm. `inner` holds the inner products of the atoms and, last, the
+    Lambertian, shape (n + 1, n + 1).
     """
     rest, own, last = 1.0 - share, np.diagonal(inner).copy(), inner[:, -1].copy()
     of_pairs = np.take(inner, first * len(inner) + second)  # four times as fast as by two indices
@@ -283,7 +292,7 @@ def products(inner: Array, first: Indices, second: Indices, share: Array) -> tup
 
 @lru_cache(maxsize=4)
 def atom_pairs(N: int, per_material: int) -> tuple[Indices, Indices, Array]:
-    """Return indices and shares of all mixtures: each atom alone, and every pair in every share."""
+    """Return the two atom indices and the share of all mixtures: each atom alone, and every pair in every share."""
     of = np.repeat(np.arange(N), per_material)
     i, j = np.triu_indices(len(of), 1)
     is_one = of[i] == of[j]
@@ -305,7 +314,7 @@ def _log_prior(N: int, per_material: int, n_library: int | None) -> Array:
 
 
 def two_nonnegative(aa: Array, ab: Array, bb: float, a: Array, b: float) -> tuple[Array, Array]:
-    """Return x, y >= 0 that minimise `aa x^2 + 2 ab x y + bb y^2 - 2 (a x + b y)`, problem by problem."""
+    """Return the x, y >= 0 that minimise `aa x^2 + 2 ab x y + bb y^2 - 2 (a x + b y)`, for each of several problems."""
     determinant = aa * bb - ab**2
     x, y = (a * bb - b * ab) / determinant, (b * aa - a * ab) / determinant
     x, y = np.where(y < 0.0, a / aa, x), np.maximum(y, 0.0)
@@ -314,10 +323,10 @@ def two_nonnegative(aa: Array, ab: Array, bb: float, a: Array, b: float) -> tupl
 
 
 NOISE = 0.02
-"""Standard deviation of the noise of cube roots, relative to them and their root mean square."""
+"""Standard deviation of the noise of cube roots, relative to their value and to their root mean square."""
 
 MODEL_ERROR = 0.04
-"""Standard deviation of the residual of the best mixture, relative to the same."""
+"""Standard deviation of the residual of the best mixture, relative to the cube roots and their root mean square."""
 
 _REACH = 2.0  # correlation length of the residual of mixtures, in lengths of `residual`
 _EXPONENT = 5.0  # power of the norm of mixtures by which their likelihood is divided
@@ -329,15 +338,13 @@ _COLOUR = 0.7  # weight of the differences between bands against their mean
 
 @dataclass(frozen=True, eq=False)
 class ReadingRoots:
-    """Cube roots of a material and of atoms at P readings.
-
-    Errors of an `Observation` are independent; these are alike at nearby directions, by what all bands were read at.
+    """Cube roots of a material and of atoms at P readings, whose errors are correlated at nearby directions.
 
     Attributes:
-        atoms: of n atoms and, last, of the Lambertian, shape (n + 1, P).
-        material: in B bands, NaN where not measured, shape (B, P).
-        weights: of the readings, shape (P,).
-        where: coordinates of their directions, see `residual.coordinates`, shape (P, 3).
+        atoms: cube roots of n atoms and, last, of the Lambertian, shape (n + 1, P).
+        material: cube roots of the material in B bands, NaN if not measured, shape (B, P).
+        weights: weights of the readings, shape (P,).
+        where: coordinates of the directions, see `residual.coordinates`, shape (P, 3).
     """
 
     atoms: Array
@@ -346,14 +353,14 @@ class ReadingRoots:
     where: Array
 
     def part(self, bands: Indices, readings: Mask) -> ReadingRoots:
-        """Return some bands, by index, at some readings, by mask."""
+        """Return the cube roots in some bands, given by index, at some readings, given by a mask."""
         material = self.material[bands][:, readings]
         return ReadingRoots(self.atoms[:, readings], material, self.weights[readings], self.where[readings])
 
     def whitened(self) -> tuple[Array, Array]:
-        """Return atoms (n + 1, C) and material (B, C) whose differences are independent and have variance 1.
+        """Return atoms (n + 1, C) and material (B, C) transformed to independent differences of variance 1.
 
-        C is the number of readings, or of averages of those that share a cell.
+        C is the number of readings, or of averages over readings in the same cell.
         """
         cell = cells(self.where)
         total = np.bincount(cell, self.weights)
@@ -372,14 +379,14 @@ class ReadingRoots:
 
 @dataclass(frozen=True, eq=False)
 class GlossReadings:
-    """G readings of gloss beside those of a material: means over apertures around mirror directions.
+    """G readings of gloss: means of the luminance over apertures around mirror directions.
 
-    Gloss depends on the luminance, a sum over bands before the cube root, so it is not an `Observation` of one band.
+    The luminance is a sum over bands before the cube root, so gloss is not an `Observation` of one band.
 
     Attributes:
-        atoms: cube roots of these means of n atoms and, last, of the Lambertian, shape (n + 1, G).
-        roots: cube roots of the material's luminance there, shape (G,).
-        luminance: what the bands of the readings contribute to it, shape (B,).
+        atoms: cube roots of the means of n atoms and, last, of the Lambertian, shape (n + 1, G).
+        roots: cube roots of the material's mean luminance, shape (G,).
+        luminance: weight of each band of the readings in the luminance, shape (B,).
         where: coordinates of the mirror directions, see `residual.coordinates`, shape (G, 3).
         unit: mean of f over the apertures that makes one gloss unit, in 1/sr, shape (G,).
     """
@@ -392,7 +399,7 @@ class GlossReadings:
 
     @classmethod
     def of(cls, gloss: GlossUnits, bands: Bands, atoms: Array) -> GlossReadings:
-        """Return readings of gloss from units by angle, given the atoms' cube roots there, (n + 1, G)."""
+        """Return readings of gloss from gloss units by angle, given the cube roots (n + 1, G) of the atoms."""
         unit = np.array([value_of_unit(angle) for angle in gloss])
         mean = unit * list(gloss.values())
         theta = np.deg2rad(list(gloss), dtype=float)
@@ -400,19 +407,22 @@ class GlossReadings:
         return cls(atoms, np.cbrt(mean), luminance(np.eye(bands.count), bands), where, unit)
 
     def misfit(self, weights: Array, level: float) -> float:
-        """Return the squared error of weights (B, n + 1) over its variance.
+        """Return the squared error of the gloss that weights (B, n + 1) predict, over its variance.
 
-        `level` is the root mean square of the other readings.
+        `level` is the root mean square of the cube roots of the other readings.
         """
         variance = (NOISE**2 + MODEL_ERROR**2) * (self.roots**2 + level**2)
         return float(np.sum((self._luminous(weights @ self.atoms) - self.roots) ** 2 / variance))
 
     def differences(self, roots: Array) -> Array:
-        """Return relative differences of cube roots (B, G) from the read values, within a gloss unit: (G,)."""
+        """Return the relative differences (G,) of cube roots (B, G) from the measured gloss.
+
+        Differences within one gloss unit are 0.
+        """
         return gloss_differences(self._luminous(roots) ** 3 / self.unit, self.roots**3 / self.unit)
 
     def scaled(self, roots: Array) -> Array:
-        """Scale cube roots in bands, shape (B, G), to the luminance that was read."""
+        """Scale cube roots (B, G) in every band so that their luminance is the measured one."""
         return np.asarray(roots * self.roots / np.maximum(self._luminous(roots), np.finfo(float).tiny))
 
     def _luminous(self, roots: Array) -> Array:
@@ -425,12 +435,12 @@ def posterior(
     """Return posterior probabilities of mixtures of two atoms, given readings of a material in one band.
 
     The likelihood is Student's t in cube roots, with residuals that are correlated at nearby directions; its heavy
-    tails keep several mixtures probable where none fits the readings. It is divided by the fifth power of the mixture's
-    norm: a predicted highlight that does not exist costs more than one that is missing.
+    tails keep several mixtures probable if none fits the readings. It is divided by the fifth power of the mixture's
+    norm, so that a predicted highlight that does not exist costs more than a missing one.
 
-    `gram` (n + 1, n + 1) has inner products of atoms over all directions; `material_of[k]` is the index of the
-    material that atom k belongs to, N for the Lambertian; every material has as many atoms; the first `n_library` of
-    them, or all, are measured, the others coats.
+    `gram` (n + 1, n + 1) holds the inner products of the atoms over all directions. `material_of[k]` is the index of
+    the material to which atom k belongs, N for the Lambertian; every material has the same number of atoms. The first
+    `n_library` materials (None: all) are measured, the others are coats.
     """
     X, (y,) = read.whitened()
     mixtures, n_readings = Mixtures.fitted(X, y, material_of, n_library), len(y)
@@ -450,12 +460,10 @@ def band_mixtures(
 ) -> Hypotheses:
     """Return posterior probabilities of mixtures of two materials, given readings in B bands.
 
-    The highlight of a coat is white and that of a metal coloured: single bands say more than their mean about which
-    materials the readings resemble.
-
-    Weights >= 0 of the atoms of both materials and of the Lambertian are fitted to every band, with shares of materials
-    near those in the mean of all bands, to which the mixtures of atoms were fitted. The likelihood, `gram`,
-    `material_of` and `n_library` are those of `posterior`.
+    Single bands show better than their mean which materials the readings resemble, because the highlight of a coat is
+    white and that of a metal coloured. In every band, weights >= 0 of the atoms of both materials and of the
+    Lambertian are fitted; the shares of the materials stay near those of the mean over bands, to which `mixtures`
+    were fitted. The likelihood, `gram`, `material_of` and `n_library` are those of `posterior`.
     """
     chosen = _of_different_materials(mixtures, material_of)
     structures = mixtures.weights(chosen)

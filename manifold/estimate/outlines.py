@@ -1,4 +1,4 @@
-"""Photographs from files, as linear values, and the outline of the ball in them; unseen pixels are NaN."""
+"""Reads photographs as linear values, and finds the outline of the sphere in them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from manifold.core.names import percent
 from manifold.core.records import Array, Mask
 
 BRIGHT = 0.995
-"""Quantile of pixels that is white where outlines are searched, and a highlight where lamps are."""
+"""Quantile of the pixels that is treated as white in the search for outlines, and as a highlight in that for lamps."""
 
 _LEAST_SIZE = 16
 _LEAST_RADIUS = 8.0  # pixels
@@ -40,9 +40,10 @@ class Photograph:
 
     Attributes:
         values: shape (H, W, 3), float32; NaN where the picture is transparent or not finite.
-        is_clipped: pixels that were at least as bright as their values, shape (H, W).
+        is_clipped: whether each pixel is at least as bright as its value, because the camera clipped it, shape (H,
+            W).
         notes: assumptions about the file, in sentences.
-        is_encoded: whether the codes of the file were decoded as sRGB.
+        is_encoded: whether the values of the file were decoded as sRGB.
     """
 
     path: Path
@@ -53,7 +54,7 @@ class Photograph:
 
     @property
     def factor(self) -> int:
-        """Return the factor of reduction at which outlines and lamps are searched."""
+        """Return the factor by which the picture is reduced for the search for outlines and lamps."""
         return max(1, max(self.values.shape[:2]) // _SEARCHED)
 
     def reduced(self, factor: int) -> Photograph:
@@ -78,16 +79,16 @@ def read_photograph(path: Path, is_linear: bool = False) -> Photograph:
     if is_linear and picture.is_encoded:
         values, notes = (
             encode_srgb(values).astype(np.float32),
-            (f"{path.name}: its values are taken as linear",),
+            (f"{path.name}: its values are read as linear",),
         )
-    grey = (f"{path.name}: grey; the colour is not in it",) * picture.is_grey
+    grey = (f"{path.name}: a grey picture, which does not determine the colour",) * picture.is_grey
     return Photograph(
         path, values, picture.is_clipped & seen, notes + grey, picture.is_encoded and not is_linear
     )
 
 
 def reduced(values: Array, factor: int) -> Array:
-    """Return means of squares of pixels; NaN if one of them is."""
+    """Return the means of squares of `factor` x `factor` pixels; NaN if one of the pixels is NaN."""
     if factor == 1:
         return values
     H, W = (n // factor * factor for n in values.shape[:2])
@@ -110,11 +111,11 @@ class Circle:
         return Circle(factor * self.x, factor * self.y, factor * self.radius)
 
     def contains(self, x: Array, y: Array, rim: float) -> Mask:
-        """Return whether places, right and up of the centre in radii, lie within a share of the radius."""
+        """Return whether points (x right, y up from the centre, in radii) lie within a share `rim` of the radius."""
         return np.asarray(x * x + y * y < rim**2)
 
     def require_inside(self, photograph: Photograph) -> None:
-        """Raise UsageError unless the centre lies in a photograph, and the radius suits its size."""
+        """Raise UsageError unless the centre lies in the photograph, and the radius suits its size."""
         height, width = photograph.values.shape[:2]
         if not (
             0.0 <= self.x <= width
@@ -151,7 +152,7 @@ class Cylinder(Circle):
         return f"{super().__str__()},{self.height:.1f}"
 
     def contains(self, x: Array, y: Array, rim: float) -> Mask:
-        """Return whether places, right and up of the centre in radii, lie within a share of radius and height."""
+        """Return whether points (x right, y up, in radii from the centre) lie within a share `rim` of the outline."""
         return np.asarray((np.abs(x) < rim) & (np.abs(y) < 0.5 * self.height / self.radius))
 
 
@@ -165,14 +166,14 @@ def outside(photograph: Photograph, circle: Circle) -> float:
 
 
 class Outline(NamedTuple):
-    """A circle that may be the outline of a ball, on which lies a share of the edges near it."""
+    """A circle that may be the outline of a sphere, with the share of the nearby edges that lie on it."""
 
     circle: Circle
     share: float
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """A doubt about it, in a sentence."""
+        """A warning if the outline is uncertain, in a sentence; otherwise empty."""
         if self.share >= _LEAST_SHARE:
             return ()
         return (
@@ -182,9 +183,10 @@ class Outline(NamedTuple):
 
 
 def outlines_in(photographs: Sequence[Photograph]) -> list[Outline]:
-    """Return possible outlines of a ball in photographs of one size, the likeliest first.
+    """Return possible outlines of a sphere in photographs of the same size, the most likely first.
 
-    The search uses the maximum of the photographs at each pixel, which no terminator crosses if lamps differ.
+    The search uses the maximum of the photographs at each pixel, which shows no terminator (the edge of the shadow)
+    if the lamps differ.
     """
     for one in photographs:
         if not np.any(np.isfinite(one.values).all(axis=2) & ~one.is_clipped):
@@ -197,7 +199,7 @@ def outlines_in(photographs: Sequence[Photograph]) -> list[Outline]:
 
 
 def given_outline_notes(photographs: Sequence[Photograph], circle: Circle) -> tuple[str, ...]:
-    """Return a doubt about a given outline of photographs of one size if edges near it lie on another circle."""
+    """Return a warning about a given outline if the edges near it lie on another circle."""
     shown, factor = _display(photographs)
     grey, given = _grey(shown), circle.scaled(1.0 / factor)
     edges = _through_edges(grey, given)
@@ -207,7 +209,7 @@ def given_outline_notes(photographs: Sequence[Photograph], circle: Circle) -> tu
         return ()
     return (
         f"the circle {circle} was given, but {percent(share)} of the edges near it lie on {edges.scaled(factor)}, "
-        f"{percent(off / given.radius)} of its radius away: is it the ball's outline?",
+        f"{percent(off / given.radius)} of its radius away: check that it is the ball's outline",
     )
 
 
@@ -225,9 +227,10 @@ def _grey(display: Array) -> Array:
 def find_outlines(display: Array, where: str) -> list[Outline]:
     """Return the most pronounced circular edge of a picture of display values in [0, 1] (H, W, 3), in two versions.
 
-    Gradients vote for centres along their direction, radius by radius; the best is refined to parts of a pixel. Of a
-    ball that is lit from one side that is drawn to the terminator: the other version passes through the strongest edges
-    around it. The likelier one stands first. An edge over less than half of its length is none.
+    For every radius, gradients vote for centres along their direction; the best circle is refined to a fraction of a
+    pixel. If the sphere is lit from one side, the edge of its shadow pulls this circle; the other version passes
+    through the strongest edges around it. The more likely version comes first. Edges that cover less than half of a
+    circle are ignored.
 
     Source: Ballard 1981, "Generalizing the Hough transform to detect arbitrary shapes".
     """

@@ -1,4 +1,4 @@
-"""Photographs of balls beside their prediction by a file, and the difference."""
+"""Draws photographs of spheres beside their predictions and the differences."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ def require_drawable(picture: Path, request: PhotoRequest) -> None:
 def draw_residuals(
     balls: Sequence[SeenBall], file: Path, material: Completion, exposure: float | None, picture: Path
 ) -> None:
-    """Draw photographs beside renders of a file, with their differences.
+    """Draw photographs beside renderings of a file, with their differences.
 
-    A known exposure is divided out; with one that was estimated, photographs stay as they are, and renders are exposed
-    alike: otherwise a wrong exposure would turn both pictures white or black and hide the differences.
+    A known exposure is divided out of the photographs. If it was estimated, the renderings are exposed like the
+    photographs instead, because a wrong estimate could turn both pictures white or black and hide the differences.
     """
     known = exposure or 1.0
     seen, predicted, errors = [], [], []

@@ -1,4 +1,4 @@
-"""Colours of an instrument's own pictures: beside its spectra, and in place of those that are missing."""
+"""Uses the colours of an instrument's own pictures in place of missing spectra."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def reading_at(readings: Readings, wi: Array, wo: Array) -> int | None:
 
 
 def colour_of(readings: Readings, reading: int | None) -> Array:
-    """Return the linear sRGB under D65 of a reading, (3,), 1 for a white diffuser; NaN for gaps or no reading."""
+    """Return the linear sRGB colour (3,) of a reading under D65, 1 for a white diffuser; NaN for gaps or no reading."""
     if reading is None:
         return np.full(3, np.nan)
     readings = in_daylight(readings)
@@ -40,9 +40,9 @@ def colour_of(readings: Readings, reading: int | None) -> Array:
 
 
 def odd_picture(labels: tuple[str, ...], factors: Array) -> str | None:
-    """Return a reason why one of J pictures does not belong to the readings; None if all do.
+    """Return a reason why one of J pictures does not belong to the readings; None if all belong.
 
-    Factors are of each picture's mean over the colour of its reading, (J, 3); NaN where there is none.
+    `factors` (J, 3) are the ratios of each picture's mean colour to the colour of its reading; NaN without a reading.
     """
     grey = factors.mean(axis=-1)
     relative = grey / np.nanmedian(grey)
@@ -58,8 +58,8 @@ def odd_picture(labels: tuple[str, ...], factors: Array) -> str | None:
 def with_picture_colours(readings: Readings) -> Readings:
     """Add readings from the colours of pictures at geometries that lack a spectrum.
 
-    The factor between pictures and readings is the median over those pictures that have one. A spectrum is that of the
-    reading of the nearest colour, changed as the picture differs from it.
+    The factor between pictures and readings is the median over the pictures that have a reading. Each new spectrum is
+    the spectrum of the reading with the nearest colour, scaled by the difference in colour.
     """
     images: Mapping[str, bytes] = readings.texture.get("images", {})
     found = {c: g for c in images if (g := picture_geometry(c)) is not None and not np.isnan(g[1])}
@@ -74,7 +74,7 @@ def with_picture_colours(readings: Readings) -> Readings:
     try:
         seen = np.array([picture_values(images[caption]).mean(axis=(0, 1)) for caption in found])
     except FileFormatError as error:
-        return readings.with_note(f"a picture {error}; none is used where spectra are missing")
+        return readings.with_note(f"a picture {error}; no picture replaces a missing spectrum")
     factors = seen / np.array([colour_of(readings, reading) for reading in read])
     factor = np.nanmedian(factors, axis=0)
     if np.any(np.abs(np.log(factor)) > np.log(_MOST_FACTOR)) or odd_picture(tuple(found), factors):

@@ -1,4 +1,4 @@
-"""Mixtures of atoms that explain the pixels of one channel, with posterior probabilities under several exposures."""
+"""Finds mixtures of atoms that explain the pixels of one channel, and their probabilities for several exposures."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from manifold.estimate.mixtures import LAMBERTIAN_SPREAD, Hypotheses, Mixtures, 
 from manifold.model.estimator import LEAST, Observation
 
 GRID_STRIDE = 7
-"""One in this many directions of the encoding grid is enough to compare mixtures."""
+"""Stride over the directions of the encoding grid at which mixtures are compared."""
 
 MODEL_ERROR = 0.05
-"""Standard deviation of cube roots of pixels about the best mixture, relative."""
+"""Relative standard deviation of the pixels' cube roots about the best mixture."""
 
 INDEPENDENT = 30.0
-"""Number of pixels of a picture whose errors are independent."""
+"""Effective number of independent errors among the pixels of a picture."""
 
 _EXPONENT = 2.0  # power of the norm of mixtures by which their likelihood is divided
 _COUNT = 200  # mixtures of which the mean is taken
@@ -26,20 +26,24 @@ _COUNT = 200  # mixtures of which the mean is taken
 
 @dataclass(frozen=True, eq=False)
 class PixelPosterior:
-    """Posterior probabilities of mixtures of two usable atoms, given one channel's pixels, under several exposures.
+    """Computes posterior probabilities of mixtures of two atoms, given one channel's pixels, for several exposures.
 
-    As `posterior` has it for readings; mixtures and errors are of values, and those of bounds that hold are none.
-    Noise is proportional to the value for pixels brighter than `LEAST`, and constant below. Their inner products
-    scale with the exposure and are summed once.
+    It is the counterpart of `mixtures.posterior`, in values instead of cube roots. A clipped pixel is a lower bound
+    and has no error if the mixture is brighter. The noise is proportional to the value for pixels brighter than
+    `LEAST`, and constant below. The inner products of these bright and dark pixels are summed once and then scaled by
+    the exposure.
 
     Attributes:
         exposures: divisors of the observed values, ascending, shape (E,).
-        material_of: of the Q usable atoms that are mixed, shape (Q,).
-        n_library: how many of the materials are measured.
-        bright, dark: inner products of atoms under every exposure, over its square and as they are, (E, Q, Q).
-        with_bright, with_dark: likewise with what was seen, over the exposure and times it, (E, Q).
-        square_bright, square_dark: likewise of what was seen, as they are and times the exposure squared, (E,).
-        bounds: atoms (Q, b), observed values (b,) and roots of weights (b,) of clipped pixels.
+        material_of: indices of the materials of the Q usable atoms, shape (Q,).
+        n_library: number of measured materials.
+        bright, dark: inner products of atoms over bright pixels, divided by the squared exposure, and over dark
+            pixels, each (E, Q, Q).
+        with_bright, with_dark: inner products of atoms and observations over bright pixels, divided by the exposure,
+            and over dark pixels, multiplied by it, each (E, Q).
+        square_bright, square_dark: squared norms of the observations over bright pixels, and over dark pixels,
+            multiplied by the squared exposure, each (E,).
+        bounds: atoms (Q, b), observed values (b,) and square roots of the weights (b,) of clipped pixels.
         of_grid: products of mixtures over all directions, see `mixtures.products`.
     """
 
@@ -57,7 +61,7 @@ class PixelPosterior:
 
     @classmethod
     def of(cls, atoms: LibraryAtoms, rows: Observation, usable: Mask, exposures: Array) -> PixelPosterior:
-        """Sum the products of pixels of usable atoms (n,)."""
+        """Sum the inner products over the pixels, for the usable atoms (n,)."""
         index = atoms.mixed[usable[atoms.mixed]]
         _, material_of = np.unique(atoms.material_of[index], return_inverse=True)
         A, is_seen = rows.atoms[index], ~rows.is_bound
@@ -89,7 +93,7 @@ class PixelPosterior:
         )  # fmt: skip
 
     def at(self, e: int) -> Mixtures:
-        """Return the mixtures under one of the exposures, by index."""
+        """Return the mixtures for one of the exposures, given its index."""
         t = float(self.exposures[e])
         inner = t * t * self.bright[e] + self.dark[e]
         with_seen = t * self.with_bright[e] + self.with_dark[e] / t
@@ -106,7 +110,7 @@ class PixelPosterior:
 
 
 def pixel_mixtures(atoms: LibraryAtoms, rows: Observation, usable: Mask) -> Hypotheses:
-    """Return the most probable of the mixtures under one exposure, in one channel."""
+    """Return the most probable mixtures for the pixels of one channel, for an exposure of 1."""
     pixels = PixelPosterior.of(atoms, rows, usable, np.ones(1))
     mixtures = pixels.at(0)
     best = mixtures.most_probable(_COUNT)

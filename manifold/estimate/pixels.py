@@ -1,9 +1,9 @@
-"""The forward model: pixels of a photographed ball as linear functionals of its BRDF.
+"""The forward model: the pixels of a photographed sphere as linear functionals of its BRDF.
 
-The ball floats in a distant environment; what its surroundings reflect onto it is left out. Pixels are averaged in
-blocks, small where the picture varies. The light that each block sends to the camera is a sum over direction pairs,
-half of them sampled from the light that falls on the block, half from half vectors densest around the normal; both are
-weighted by the balance heuristic, so that small lamps and sharp highlights are equally well resolved.
+The sphere floats in a distant environment; light reflected by nearby objects is ignored. Pixels are averaged in
+blocks, which are small where the picture varies. The light that a block sends to the camera is a sum over direction
+pairs. Half of them are sampled from the incident light, half from half vectors that are densest around the normal;
+both halves are weighted by the balance heuristic, so that small lamps and sharp highlights are resolved equally well.
 
 Source: Veach & Guibas 1995, "Optimally Combining Sampling Techniques for Monte Carlo Rendering".
 """
@@ -33,7 +33,7 @@ _RIM = 0.97  # share of the radius, beyond which errors of the outline are large
 _LEAST_SPAN_DEG = 40.0  # range of normals; flatter pieces gain nothing over two analytic lobes
 _LEAST_SHARE = 0.1  # share of the ball that must have been seen
 SAMPLES = 256
-"""Direction pairs of a block."""
+"""Number of direction pairs per block."""
 
 _POWER = 4  # power of the uniform variate in the elevation of half vectors
 
@@ -49,14 +49,14 @@ class Environment:
     """Distant light in fine pixels of equal angles, grouped into cells.
 
     Attributes:
-        radiance: in the channels of a camera, laid out as `lights.studio` does, shape (512, 1024, C).
+        radiance: radiance in the channels of a camera, with the layout of `lights.studio`, shape (512, 1024, C).
     """
 
     radiance: Array
 
     @classmethod
     def of(cls, image: Array) -> Environment:
-        """Return the environment of a picture by latitude and longitude of any resolution, shape (H, W, C)."""
+        """Return the environment of a latitude-longitude image (H, W, C) of any resolution."""
         image = np.asarray(image, dtype=np.float64)
         lights.require_light(image)
         size = _ROWS * _PARTS
@@ -64,7 +64,7 @@ class Environment:
         return cls(np.ascontiguousarray(resized))
 
     def at(self, directions: Array) -> tuple[Array, Indices]:
-        """Return the radiance (..., C) from world directions (..., 3), and the index of the fine pixel."""
+        """Return the radiance (..., C) from world directions (..., 3), and the indices of their fine pixels."""
         size = _ROWS * _PARTS
         row = np.minimum(
             (np.arccos(np.clip(directions[..., 2], -1.0, 1.0)) / np.pi * size).astype(int), size - 1
@@ -94,13 +94,13 @@ class Environment:
         return _direction(np.arange(2 * _ROWS**2), np.full(2 * _ROWS**2, 0.5), np.full(2 * _ROWS**2, 0.5))
 
     def cell_probabilities(self, normals: Array) -> Array:
-        """Return probabilities of cells, proportional to their light on normals (K, 3): (K, cells)."""
+        """Return probabilities (K, cells) proportional to the light that cells send to surfaces of normals (K, 3)."""
         cosines = np.maximum(normals @ self._centres.T, 0.0) + 0.02  # normals of a block differ
         product = cosines * self._power.sum(axis=1)
         return product / product.sum(axis=1, keepdims=True)
 
     def sample(self, probabilities: Array, u: Array) -> Array:
-        """Return directions of variates u (K, S, 3) in [0, 1) with cells of probabilities (K, cells): (K, S, 3)."""
+        """Sample directions (K, S, 3) with variates u (K, S, 3) in [0, 1) from cells of probabilities (K, cells)."""
         cumulative = np.cumsum(probabilities, axis=1)
         cell = np.empty(u.shape[:2], dtype=int)
         for k, row in enumerate(cumulative):
@@ -116,7 +116,7 @@ class Environment:
         return _direction(cell, (row + np.clip(rest, 0.0, 1.0)) / _PARTS, (column + u[..., 2]) / _PARTS)
 
     def density(self, probabilities: Array, pixel: Indices) -> Array:
-        """Return the density in 1/sr of samples in fine pixels (K, S) for probabilities of cells (K, cells): (K, S)."""
+        """Return the density (K, S) in 1/sr of `sample` at fine pixels (K, S), for probabilities (K, cells)."""
         cell, part = np.divmod(pixel, _PARTS**2)
         share = self._power / np.maximum(self._power.sum(axis=1, keepdims=True), 1e-300)
         row = (cell // (2 * _ROWS)) * _PARTS + part // _PARTS
@@ -151,8 +151,8 @@ class Blocks:
         starts: first pixel of each block, shape (K,).
         size: width of a pixel in radii.
         values: mean of every block, shape (K, 3).
-        is_clipped: blocks that were at least as bright as their values, shape (K,).
-        is_cylinder: whether they are of an upright cylinder instead of a ball.
+        is_clipped: whether each block is at least as bright as its value, because the camera clipped it, shape (K,).
+        is_cylinder: whether the blocks show an upright cylinder instead of a sphere.
     """
 
     x: Array
@@ -165,12 +165,15 @@ class Blocks:
 
     @property
     def counts(self) -> Indices:
-        """Pixels of each block."""
+        """Number of pixels of each block."""
         return np.diff(np.append(self.starts, len(self.x)))
 
 
 def blocks_of(photograph: Photograph, circle: Circle, pictures: int = 1) -> Blocks:
-    """Return the blocks of a ball, or of a cylinder, in a photograph; more than ten have fewer blocks each."""
+    """Return the blocks of a sphere or cylinder in a photograph.
+
+    With more than ten `pictures`, each has fewer blocks.
+    """
     path = photograph.path
     is_cylinder = isinstance(circle, Cylinder)
     if is_cylinder:
@@ -215,9 +218,9 @@ def _require_curved(photograph: Photograph, cylinder: Circle) -> None:
     span = float(np.rad2deg(np.ptp(np.arcsin(np.clip(edges, -_RIM, _RIM)))))
     if span < _LEAST_SPAN_DEG:
         raise UsageError(
-            f"{photograph.path}: the normals of what is seen of the cylinder at {cylinder} span {span:.0f} degrees, "
-            f"expected {_LEAST_SPAN_DEG:g} or more: a nearly flat piece says little; bend it over a thinner one, or "
-            "give readings"
+            f"{photograph.path}: the normals of the visible part of the cylinder at {cylinder} span {span:.0f} "
+            f"degrees, expected {_LEAST_SPAN_DEG:g} or more: a nearly flat piece determines little; bend it over a "
+            "thinner cylinder, or give readings"
         )
 
 
@@ -244,12 +247,12 @@ def _squares(roots: Array, seen: Mask, side: int, most: int) -> list[tuple[int, 
 
 @dataclass(frozen=True)
 class Camera:
-    """The position of a camera that looks at the middle of the ball.
+    """The position of a camera that looks at the centre of the sphere.
 
     Attributes:
-        turn_deg: azimuth of the viewing direction in the environment, from its first column to the right.
-        elevation_deg: of the camera above the ball.
-        distance: from the middle of the ball, in its radii.
+        turn_deg: azimuth of the viewing direction in the environment, counted to the right from its first column.
+        elevation_deg: elevation of the camera above the sphere.
+        distance: distance of the camera from the centre of the sphere, in radii.
     """
 
     turn_deg: float = 0.0
@@ -258,7 +261,7 @@ class Camera:
 
     @property
     def axes(self) -> tuple[Array, Array, Array]:
-        """Right, up, and towards the camera; unit vectors in a world whose +y is straight ahead."""
+        """Unit vectors to the right, up, and towards the camera, in a world whose +y is straight ahead."""
         e = np.deg2rad(self.elevation_deg)
         return (
             np.array([1.0, 0.0, 0.0]),
@@ -267,18 +270,18 @@ class Camera:
         )
 
     def cylinder(self, x: Array) -> tuple[Array, Array]:
-        """Return normals and directions to a far, level camera of an upright cylinder.
+        """Return the normals of an upright cylinder, and the directions to a distant, level camera.
 
-        Points lie at x within 1 to the right of its middle, in radii.
+        x is the distance to the right of the axis in radii, from -1 to 1.
         """
         right, _, towards = self.axes
         normal = x[..., None] * right + np.sqrt(np.maximum(1.0 - x * x, 0.0))[..., None] * towards
         return normal, np.broadcast_to(towards, normal.shape)
 
     def surface(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Return normals (..., 3) and directions (..., 3) to the camera, of points right and up of the centre.
+        """Return the normals (..., 3) of points of the sphere, and the directions (..., 3) to the camera.
 
-        They are in radii, within 1.
+        x (right) and y (up from the centre) are in radii and lie within the outline.
         """
         right, up, towards = self.axes
         flat = x[..., None] * right + y[..., None] * up
@@ -295,12 +298,10 @@ class Camera:
 def direction_pairs(
     blocks: Blocks, camera: Camera, environment: Environment, samples: int = SAMPLES
 ) -> tuple[Array, Array, Array]:
-    """Return direction pairs that light blocks, wi to the camera and wo to the light, (K, S, 3), and the light.
+    """Return the direction pairs of blocks, wi to the camera, wo to the light, (K, S, 3), and the light (K, S, C).
 
-    The light from there is (K, S, C).
-
-    They are in frames of the surface; light is radiance times cosine over density: the value of a block is the sum of
-    light times f.
+    The directions are in frames of the surface. The light is radiance times cosine over density, so that the value of
+    a block is the sum of light times f.
     """
     normal, view, u = sampled_surface(blocks, camera, samples)
     turn = np.deg2rad(camera.turn_deg)
@@ -327,9 +328,9 @@ def direction_pairs(
 
 
 def sampled_surface(blocks: Blocks, camera: Camera, samples: int) -> tuple[Array, Array, Array]:
-    """Return normals and directions to the camera at points of blocks, (K, S, 3), and variates (K, S, 5).
+    """Return normals and directions to the camera at random points of blocks, each (K, S, 3), and variates (K, S, 5).
 
-    The first and last of these chose the points; the others are free.
+    The first and last variates have selected the points; the others are unused.
     """
     K = len(blocks.starts)
     u = (np.random.default_rng(0).random((K, 1, 5)) + np.arange(samples)[:, None] * _STEPS) % 1.0
@@ -366,7 +367,7 @@ def frames(normal: Array) -> Array:
 def block_sums(
     values: Callable[[Array, Array], Array], wi: Array, wo: Array, light: Array, at_once: int = 16384
 ) -> Array:
-    """Return pixels of n BRDFs: sums of values (n, P) over the P direction pairs of every block, shape (n, C, K)."""
+    """Return the pixels of n BRDFs, shape (n, C, K): sums of light times f over the direction pairs of every block."""
     K, S = light.shape[:2]
     per = max(1, at_once // S)
     parts = []

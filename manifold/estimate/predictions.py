@@ -1,4 +1,4 @@
-"""Predictions at places: RGL files with diagnostics."""
+"""Writes predictions at places on a map as RGL files, with diagnostics."""
 
 from __future__ import annotations
 
@@ -46,19 +46,20 @@ def predict(
     attributes: Attributes | None = None,
     options: OutputOptions = DEFAULT_OPTIONS,
 ) -> DiagnosedPrediction:
-    """Predict the material at a latent and write it as an RGL file.
+    """Predict the material at a place on the map, and write it as an RGL file.
 
-    A file keeps its own values, and so does a step of a walk: colour and gloss change them without the map. Without
-    these it is written as it is; else on grids at least as fine as `FINE_OPTIONS`.
+    A file, or a step of a walk, is not predicted from the map: colour and gloss edit its own values, on grids at
+    least as fine as `FINE_OPTIONS`. Without such edits, a file is written unchanged.
 
     Args:
         model: a fitted manifold, or the path of one.
-        latent: Q coordinates, another place, or a material; one of the model lies on the map.
-        output: the file to write; its name becomes the material's.
-        library: where the model's library is now, if not where the model remembers it.
-        colour: another than that of the place.
-        attributes: gloss and colour that the material should have instead of its own; see `attributes.adjust`.
-        options: of the file.
+        latent: Q coordinates, another place, or a measured material; a material of the model is predicted at its
+            latent.
+        output: the file to write; the material is named after it.
+        library: path of the model's library, if the library was moved.
+        colour: given colour of the prediction; by default its colour is blended.
+        attributes: requested gloss and colour; see `attributes.adjust`.
+        options: options of the file.
 
     Raises:
         UsageError: the name of the output does not end in `.bsdf`, the file cannot be written, or `strict` is set

@@ -1,4 +1,4 @@
-"""Completion of readings in memory; `completions` also writes the file and checks it."""
+"""Completes readings in memory; `completions` also writes and checks a file."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ def complete_readings(
     Nothing is written; `manifold.estimate.complete` writes a file and checks its values.
 
     Args:
-        readings: of one sample, or the path of their file.
-        library: of measured materials, or its path; by default the built-in one.
+        readings: readings of one specimen, or the path of their file.
+        library: library of measured materials, or its path; by default the built-in library.
 
     Returns:
-        The completion: `brdf`, and the expected errors `expected`.
+        The completion, with its BRDF in `brdf` and the expected errors in `expected`.
 
     Raises:
-        BandMismatchError: bands of readings and library do not go together.
-        UsageError: the file has several samples, or no reading can be used.
-        FileFormatError: the file is of no known format, or damaged.
+        BandMismatchError: the bands of the readings and the library cannot be combined.
+        UsageError: the file has several specimens, or no reading can be used.
+        FileFormatError: the format of the file is unknown, or the file is damaged.
     """
     if not isinstance(readings, Readings):
         readings, _ = instruments.read([Path(readings)])

@@ -1,4 +1,4 @@
-"""Reports to hand on: readings and their completion, one HTML page each."""
+"""Writes reports on readings and their completion, one HTML page each."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#000000")
 
 
 def write_completion(path: Path, completed: Completed, sources: Sequence[Path] = ()) -> None:
-    """Write the page that reports a completion of readings from some files, and of photographs."""
+    """Write the report on a completion of readings and photographs; `sources` are the files of the readings."""
     assert completed.path is not None
     completion, brdf = completed.completion, MeasuredBRDF(read_bsdf(completed.path))
     rows: dict[str, object] = {"from": [source.name for source in sources]} if sources else {}
@@ -111,7 +111,7 @@ def write_coat(path: Path, coated: Coated) -> None:
 
 
 def write_calibration(path: Path, calibrated: CalibratedInstrument) -> None:
-    """Write the report of a colour correction, learned from samples."""
+    """Write the report on a colour correction that was learned from samples."""
     sections = [
         Section(
             "Leave-one-out relative error",
@@ -139,7 +139,7 @@ def write_calibration(path: Path, calibrated: CalibratedInstrument) -> None:
 
 
 def balls(brdf: BRDF) -> Section:
-    """Return the ball of a material in the studio and under a sun."""
+    """Return a section with the rendered sphere of a material in the studio and under a sun."""
     studio = studio_ball(brdf)
     margin = round(0.5 * _BALL * (1.0 - _SUN_SHARE))
     size = _BALL - 2 * margin
@@ -161,7 +161,7 @@ def balls(brdf: BRDF) -> Section:
 
 
 def studio_ball(brdf: BRDF) -> Array:
-    """Return the ball of a material in the studio as display values (H, W, 3), rendered if Mitsuba is available."""
+    """Return display values (H, W, 3) of a material's sphere in the studio, rendered by Mitsuba if available."""
     if backend.is_available():
         return images.tone_map(render_material(brdf, RenderSettings(size=_BALL)))
     image, inside = ball_image(brdf, _COARSE_BALL)
@@ -169,7 +169,7 @@ def studio_ball(brdf: BRDF) -> Array:
 
 
 def write_index(path: Path, made: Sequence[tuple[str, str, str, str]]) -> None:
-    """Write a page of cards, one for each report: picture, link, name and a line."""
+    """Write an index page with a card for each report: its picture, link, name and a line of text."""
     cards = "".join(
         html_page.card(ball, f"ball of {name}", link, name, text) for ball, link, name, text in made
     )
@@ -307,9 +307,10 @@ def _spectra_figure(readings: Readings, found: Array, angles: Array) -> Figure:
 
 
 def angles_of(wi: Array, wo: Array) -> Array:
-    """Return elevations of incidence and outgoing, azimuth from the mirror side, aspecular angle; degrees, (P, 4).
+    """Return polar angles in and out, azimuths from the mirror side, and aspecular angles in degrees, (P, 4).
 
-    The aspecular angle is counted from the mirror direction towards the light; NaN out of the plane of incidence.
+    The aspecular angle is counted from the mirror direction towards the light; it is NaN outside the plane of
+    incidence.
     """
     theta_i, theta_o, azimuth = angles_from_mirror(wi, wo).T
     azimuth[(theta_i < 0.5) | (theta_o < 0.5)] = 0.0
@@ -319,7 +320,10 @@ def angles_of(wi: Array, wo: Array) -> Array:
 
 
 def flop_index(angles: Array, lab: Array) -> float | None:
-    """Return how much darker a coating is away from the highlight; None without its angles. Source: Alman 1987."""
+    """Return the flop index, how much a coating darkens away from the highlight (Alman 1987).
+
+    Returns None if the necessary angles are missing.
+    """
     lightness = []
     for wanted in _FLOP_DEG:
         near = (np.abs(angles[:, 0] - 45.0) < 1.0) & (np.abs(angles[:, 3] - wanted) < 1.0)
@@ -331,7 +335,7 @@ def flop_index(angles: Array, lab: Array) -> float | None:
 
 
 def gloss(brdf: BRDF, read: GlossUnits = NO_GLOSS) -> Section:
-    """Return gloss units of a material, beside those that were read, by angle in degrees."""
+    """Return a section with the gloss units of a material, beside the measured ones, by angle in degrees."""
     units_by_angle = gloss_units(brdf, GLOSS_ANGLES_DEG)
     measured = {
         angle: [f"{read[angle]:.3g}" if angle in read else "not read"] for angle in units_by_angle if read

@@ -1,7 +1,7 @@
-"""Interpolation of the residual at readings to nearby directions, by a Gaussian process.
+"""Interpolates the residual at readings to nearby directions by a Gaussian process.
 
-Non-negative weights reach only what lies between atoms: with many readings a residual is left on which neighbouring
-readings agree. It is applied as a factor of the cube roots, so that they stay non-negative.
+Non-negative combinations of atoms cannot fit every BRDF; with many readings, a residual remains that is similar at
+neighbouring readings. It is applied as a factor on the cube roots, so that they stay non-negative.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from manifold.core.records import Array, Indices
 # Multiplied or divided by 1.5, _LENGTHS and _CELL change the geometric mean of errors of left-out completions by at
 # most 2 %, the other constants by at most 0.3 % (`tools/constants.py estimate.residual`).
 NOISE = 0.3
-"""Variance of a reading's own part of the residual, over that of the part that neighbours share."""
+"""Variance of the independent part of each reading's residual, over that of the part shared with neighbours."""
 
 DARK = 0.1
-"""Share of the mean over readings to which differences of darker ones are relative."""
+"""Share of the mean reading below which differences are relative to this share, not to the reading itself."""
 
 _OWN = 0.4  # length of what a reading has for itself, over the others
 
@@ -40,15 +40,15 @@ class ResidualFactors:
     """Factors of cube roots at any direction pair.
 
     Attributes:
-        centres: coordinates of C readings, or of averages of some, shape (C, 3).
-        strength: of each in every band, shape (B, C).
+        centres: coordinates of C readings or averages of readings, shape (C, 3).
+        strength: weight of each centre in every band, shape (B, C).
     """
 
     centres: Array
     strength: Array
 
     def at(self, where: Array) -> Array:
-        """Return factors, from 1/2 to 2, at coordinates (M, 3); shape (B, M)."""
+        """Return the factors (B, M), between 1/2 and 2, at coordinates (M, 3)."""
         change = np.empty((len(self.strength), len(where)))
         for start in range(0, len(where), _BLOCK):
             rows = slice(start, start + _BLOCK)
@@ -57,7 +57,7 @@ class ResidualFactors:
 
 
 class AdjustedBRDF(WrappedBRDF):
-    """A BRDF whose cube roots are multiplied by factors, direction by direction, and sampled without them."""
+    """A BRDF whose cube roots are multiplied by `ResidualFactors`; sampling ignores the factors."""
 
     _albedo_nodes: ClassVar[int] = 48  # as of predictions
 
@@ -77,8 +77,9 @@ class AdjustedBRDF(WrappedBRDF):
 def coordinates(wi: Array, wo: Array) -> Array:
     """Return coordinates of direction pairs (P, 3) in units of the correlation length, shape (P, 3).
 
-    Square root of the half vector's elevation, difference angle, and difference of the directions' cosines: pairs at
-    which isotropic, reciprocal, bilaterally symmetric materials have the same value have the same coordinates.
+    The coordinates are the square root of the half vector's elevation, the difference angle, and the difference of
+    the two cosines. Pairs at which every isotropic, reciprocal, bilaterally symmetric material has the same value
+    have the same coordinates.
     """
     half = half_vector(wi, wo)
     elevation, difference = (
@@ -95,8 +96,9 @@ def residual_factors(
 
     NaN marks missing readings.
 
-    They meet the readings, of some weights (P,), within the repeatability of these, the relative standard deviation of
-    a value that is read again, a third of which is that of its root; or within what neighbours scatter if that is more.
+    The corrected values match the readings, with weights (P,), within the repeatability: the relative standard
+    deviation of repeated readings, of which cube roots have a third. If neighbouring readings scatter more, their
+    scatter is used.
 
     Source: Rasmussen & Williams 2006, eq. 2.25; the kernel is squared exponential.
     """
@@ -142,15 +144,15 @@ def _noise(residual: Array, weights: Array, sums: Array, totals: Array, repeatab
 
 
 def covariance(a: Array, b: Array) -> Array:
-    """Return the covariance of the residuals at coordinates (C, 3) and (M, 3), of variance 1; shape (C, M)."""
+    """Return the covariance (C, M) of the residuals at coordinates (C, 3) and (M, 3), with variance 1."""
     square = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2.0 * a @ b.T
     return np.asarray(np.exp(-0.5 * np.maximum(square, 0.0)))
 
 
 def cells(where: Array) -> Indices:
-    """Return the cell of each of the coordinates (P, 3), shape (P,).
+    """Return the index of the cell of each of the coordinates (P, 3), shape (P,).
 
-    Cells are half a length wide, or wider if there were more than 256.
+    Cells are half a correlation length wide, or wider so that there are at most 256.
     """
     width = _CELL
     while True:

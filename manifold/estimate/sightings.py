@@ -1,4 +1,4 @@
-"""Balls in photographs under known light: light and camera, and the pixels of atoms."""
+"""Combines photographs of spheres with their light and camera, and computes the pixels of atoms in them."""
 
 from __future__ import annotations
 
@@ -59,21 +59,22 @@ _UNLIT = 0.02  # share of a pixel's light below which nothing is learned
 
 @dataclass(frozen=True)
 class PhotoRequest:
-    """Photographs of one material, and how they were taken. A single value holds for every photograph.
+    """Photographs of one material, and how they were taken; a single value applies to every photograph.
 
     Attributes:
-        lights: environments, files or names of `colour.lights.ENVIRONMENTS`; none where there are lamps.
-        circles: of the balls, or of upright cylinders, as `Circle.parse` reads them; none where they are to be found.
-        turns_deg: azimuths of what lies straight ahead in the environments.
-        elevation_deg, distance: of the camera.
-        exposure: of the photographs relative to the light; None where it is not known.
+        lights: files or names (`colour.lights.ENVIRONMENTS`) of environments; empty if there are lamps.
+        circles: outlines of the spheres or upright cylinders, in the form of `Circle.parse`; empty to find them.
+        turns_deg: azimuths in the environments that lie straight ahead of the camera.
+        elevation_deg, distance: elevation of the camera above the sphere, and its distance in radii.
+        exposure: exposure of the photographs relative to the light; None if it is unknown.
         responses: file of the camera's sensitivities; None for sRGB.
-        lamps: of the photographs, as `lamps.parse_lamp` reads them; `found` finds them in the photographs.
-        each: whether every photograph has an exposure of its own.
-        grey: a card that faces the camera beside the ball, `X,Y,W,H,REFLECTANCE`, in pixels; None for none.
-        is_linear: photographs are linear, whatever kind of files they are.
-        dark: a photograph without light, that is subtracted from all; None for none.
-        light_balls: photographs of a mirror ball in place of environments, by the same camera, `PICTURE` or
+        lamps: lamps of the photographs, in the form of `lamps.parse_lamp`; `found` estimates them from the
+            photographs.
+        each: whether every photograph has its own exposure.
+        grey: grey card that faces the camera beside the sphere, `X,Y,W,H,REFLECTANCE`, in pixels; None without one.
+        is_linear: whether the files hold linear values, whatever their format.
+        dark: photograph without light, which is subtracted from all others; None without one.
+        light_balls: photographs of a mirror ball by the same camera, in place of environments, `PICTURE` or
             `PICTURE@X,Y,R` with its outline.
     """
 
@@ -94,17 +95,17 @@ class PhotoRequest:
 
     @property
     def has_cylinder(self) -> bool:
-        """Return whether an outline is that of a cylinder."""
+        """Return whether one of the outlines is a cylinder."""
         return any(isinstance(Circle.parse(text), Cylinder) for text in self.circles)
 
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """A ball as a camera saw it under known light.
+    """A sphere in a photograph, with its light and camera.
 
     Attributes:
         light: an environment in the camera's channels, or lamps.
-        spots: lamps of unknown strength beside the environment, where it is clipped.
+        spots: lamps of unknown strength that replace clipped parts of the environment.
     """
 
     blocks: Blocks
@@ -114,20 +115,20 @@ class Sighting:
 
     @cached_property
     def pairs(self) -> tuple[Array, Array, Array]:
-        """Return the direction pairs that light the blocks; see `pixels.direction_pairs`."""
+        """Return the direction pairs of the blocks, and their light; see `pixels.direction_pairs`."""
         if not isinstance(self.light, Environment):
             return lamp_pairs(self.blocks, self.camera, self.light)
         return direction_pairs(self.blocks, self.camera, self.light, SAMPLES)
 
     def sums(self, atoms: LibraryAtoms) -> tuple[Array, Array | float]:
-        """Return pixels of atoms under the light, and under the spots: (n, C, K) each; 0 without spots."""
+        """Return the pixels of atoms under the light, and under the spots, each (n, C, K); 0 without spots."""
         of_spots = lamp_pairs(self.blocks, self.camera, self.spots) if self.spots else None
         return block_sums(atoms.at, *self.pairs), block_sums(atoms.at, *of_spots) if of_spots else 0.0
 
     def rows(self, sums: Array) -> list[Observation]:
-        """Return each channel's observation of atoms, whose pixels are sums (n, C, K).
+        """Return the observation of every channel, given the pixels `sums` (n, C, K) of the atoms.
 
-        Small blocks count more than their share of pixels: highlights are small.
+        Small blocks weigh more than their number of pixels, because highlights are small.
         """
         counts, blocks = np.sqrt(self.blocks.counts), self.blocks
         channels = range(sums.shape[1])
@@ -136,13 +137,13 @@ class Sighting:
 
 @dataclass(frozen=True, eq=False)
 class SeenBall:
-    """A photograph, the ball in it, and its light as a picture.
+    """A photograph, the sphere in it, and a picture of its light.
 
     Attributes:
         light: linear radiance of the environment, shape (H, W, 3); None for lamps.
-        notes: assumptions about the files of both, in sentences.
-        warnings: sentences that come before all others: why the estimate is likely wrong.
-        lamp_deg: standard deviation of the direction of an estimated lamp, in degrees; None of others.
+        notes: assumptions about the files of photograph and light, in sentences.
+        warnings: sentences that say why the estimate is likely wrong; they are shown first.
+        lamp_deg: standard deviation of an estimated lamp's direction, in degrees; None if the lamp was given.
     """
 
     photograph: Photograph
@@ -155,12 +156,12 @@ class SeenBall:
 
     @property
     def lamps(self) -> tuple[Lamp, ...]:
-        """Return the lamps of the light; none for an environment."""
+        """Return the lamps; empty for an environment."""
         return () if isinstance(self.sighting.light, Environment) else tuple(self.sighting.light)
 
 
 def see(request: PhotoRequest) -> tuple[SeenBall, ...]:
-    """Read photographs and lights, and find the balls."""
+    """Read photographs and their lights, and find the spheres."""
     if not (1.0 < request.distance <= MOST_DISTANCE or np.isinf(request.distance)):
         raise UsageError(
             f"a camera at {request.distance:g} radii of the ball, expected more than 1 and at most {MOST_DISTANCE:g}"
@@ -220,7 +221,7 @@ def _under_lamps(
     if (apart := _found_at(request)) is not None:
         if len(set(circles)) > 1:
             raise UsageError(
-                "different circles, expected the same for all photographs, whose lamps are to be found"
+                "different circles, expected the same circle for all photographs to estimate their lamps"
             )
         given_circle = _outline_of(photographs, circles[0])[0] if circles[0] else None
         probe = find_light(photographs, given_circle, apart)
@@ -237,8 +238,8 @@ def _under_lamps(
             outlines = [_outline_of([one], text) for one, text in zip(photographs, circles, strict=True)]
     if request.grey is None:
         notes += (
-            "the lamp is assumed to be white; a coloured lamp changes the material's colour; balance the picture's "
-            "white, or give a grey card (--grey)",
+            "the lamp is assumed to be white; a coloured lamp changes the material's colour; correct the picture's "
+            "white balance, or give a grey card (--grey)",
         )
     balls = []
     for photograph, lamp, off, (circle, doubts) in zip(photographs, lamps, uncertain, outlines, strict=True):
@@ -311,7 +312,7 @@ def _require_possible(balanced: Photograph, circle: Circle, grey: str) -> None:
     if level > _MOST_BRIGHT:
         raise UsageError(
             f"{balanced.path}: according to the grey card at {grey}, a quarter of the ball is more than {level:.1f} "
-            "times as bright as a white surface that faces the lamp, which no material is; expected a card that the "
+            "times as bright as a white surface that faces the lamp, which is impossible; expected a card that the "
             "same lamp lights, not the background or a shadow, and its reflectance"
         )
 
@@ -385,10 +386,15 @@ def _around(
     circle, doubts = _outline_of([photograph], given if name else "")
     if (beside := outside(photograph, circle)) > _MOST_OUTSIDE:
         raise UsageError(
-            f"{path}: {percent(beside)} of the mirror ball at {circle} lies outside, expected all of it"
+            f"{path}: {percent(beside)} of the mirror ball at {circle} lies outside the picture, expected the whole "
+            "ball"
         )
     image = unwrapped(photograph, circle, camera)
-    notes = (*photograph.notes, *doubts, f"{path.name}: taken as a perfect mirror, its outline at {circle}")
+    notes = (
+        *photograph.notes,
+        *doubts,
+        f"{path.name}: treated as a perfect mirror with the outline {circle}",
+    )
     try:
         return image, Environment.of(image), notes, clipped_spots(photograph, circle)
     except UsageError as error:
@@ -396,7 +402,7 @@ def _around(
 
 
 def unlit(sightings: Sequence[Sighting]) -> tuple[str, ...]:
-    """Return a sentence on highlights that no lamp shows."""
+    """Return a sentence if no lamp shows the highlights; otherwise nothing."""
     most = np.zeros(len(_DIFFERENCES_DEG) - 1)
     for sighting in sightings:
         wi, wo, light = sighting.pairs

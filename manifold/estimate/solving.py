@@ -1,9 +1,9 @@
-"""The weights of atoms that explain observations of a material, in two steps.
+"""Finds the weights of atoms that explain observations of a material, in two steps.
 
-First a prior: mixtures of two materials, by their posterior probability given the observations. Then non-negative least
-squares (`model.estimator.explain`), in which differences from the mean of these mixtures cost, direction by direction:
-where nothing was observed the estimate follows them. Readings without pictures are compared in cube roots, and what is
-left at the readings changes nearby directions (`residual`); pictures are sums of light, and are compared in values.
+The first step computes mixtures of two materials and averages them by their posterior probability. The second step is
+non-negative least squares (`model.estimator.explain`) with this average as prior, which determines the estimate in
+unobserved directions. Without pictures, readings are compared in cube roots, and their residual corrects nearby
+directions (`residual`). Pictures are sums of light, and are compared in values.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ Seen: TypeAlias = Sighting | Readings | GlossUnits
 """An observation of a material: a picture, readings, or gloss units by angle in degrees."""
 
 CONTRADICTION = 0.2
-"""Relative error of cube roots of readings, predicted from pictures alone, above which the two contradict."""
+"""Relative cube-root error of readings predicted from the pictures alone above which the two contradict each other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,15 +47,16 @@ class Solution:
     """The explanation of observations in C bands or channels.
 
     Attributes:
-        evidence: with the colour of gloss that was taken, if there are pictures.
-        weights: of atoms, shape (C, n).
-        hypotheses: mixtures of materials and their probabilities: of all bands of readings together, or of each channel
-            of a camera.
-        channels: rows that were explained, in every channel of a camera, under the exposures; none without pictures.
-        factors: of cube roots near the readings, in their bands; None beside pictures.
-        exposures: by which factor each picture is brighter than light and material predict, shape (P,).
-        residuals: relative error of cube roots of every picture, shape (P,).
-        contradiction: the same of readings as pictures alone predict them; 0 without both.
+        evidence: the observations; if there are pictures, with the assumed colour of the gloss.
+        weights: weights of the atoms, shape (C, n).
+        hypotheses: mixtures of materials and their probabilities, for all bands of readings together, or for each
+            channel of a camera.
+        channels: rows that were explained, in every channel of a camera and for the exposures; empty without
+            pictures.
+        factors: factors on cube roots near the readings, in their bands; None if there are pictures.
+        exposures: factor by which each picture is brighter than its light and the material predict, shape (P,).
+        residuals: relative cube-root error of every picture, shape (P,).
+        contradiction: relative cube-root error of readings when the pictures alone predict them; 0 without both.
     """
 
     evidence: Evidence
@@ -69,7 +70,7 @@ class Solution:
 
     @property
     def errors(self) -> Array:
-        """Relative error of cube roots of all rows in every channel, (C,)."""
+        """Relative cube-root error over all rows in every channel, shape (C,)."""
         return np.array([rows.relative.error(w) for rows, w in zip(self.channels, self.weights, strict=True)])
 
 
@@ -81,14 +82,14 @@ def gather(
     each: bool = False,
     channels: Channels | None = None,
 ) -> Evidence:
-    """Return observations as evidence: pictures of one camera, readings of one sample, and gloss.
+    """Combine observations to evidence: pictures of one camera, readings of one specimen, and gloss.
 
-    For the other arguments see `Completion.of`. If there are pictures, atoms combine values (`in_values`), not cube
-    roots.
+    The other arguments are described in `Completion.of`. If there are pictures, the atoms must combine values
+    (`in_values`).
 
     Raises:
-        BandMismatchError: the bands of readings and library do not go together.
-        UsageError: no reading is left, or all are zero, or there are neither readings nor pictures.
+        BandMismatchError: the bands of the readings and the library cannot be combined.
+        UsageError: there are neither readings nor pictures, no reading can be used, or all readings are zero.
     """
     sightings = [one for one in seen if isinstance(one, Sighting)]
     readings = next((one for one in seen if isinstance(one, Readings)), None)
@@ -96,7 +97,7 @@ def gather(
     gloss |= {angle: units for one in seen if isinstance(one, Mapping) for angle, units in one.items()}
     if not sightings:
         if readings is None:
-            raise UsageError("found no readings and no picture of the material, expected some")
+            raise UsageError("found neither readings nor pictures of the material; give one of them")
         of_library = usable_readings(for_library(readings, atoms.bands))
         return Evidence.of_instruments(atoms, replace(of_library, gloss=gloss))
     sums = [sighting.sums(atoms) for sighting in sightings]
@@ -115,7 +116,7 @@ def gather(
 
 
 def solve(atoms: LibraryAtoms, evidence: Evidence, usable: Mask | None = None) -> Solution:
-    """Explain evidence by usable atoms, a mask (n,), or by all."""
+    """Find the weights of atoms that explain the evidence; `usable` (n,) is a mask of the atoms, by default all."""
     if not evidence.pictures:
         return _solve_readings(atoms, evidence, usable)
     solution = solve_pictures(atoms, evidence, usable)
@@ -167,11 +168,11 @@ def _solve_readings(atoms: LibraryAtoms, evidence: Evidence, usable: Mask | None
 
 
 def completion_weights(read: ReadingRoots, gram: Array, prior: Array, allowed: Mask | None = None) -> Array:
-    """Return weights v >= 0 of atoms in every band that fit the readings and stay near prior weights: (B, n + 1).
+    """Return weights v >= 0 of atoms in every band, (B, n + 1), that fit the readings and stay near prior weights.
 
-    They minimise `sum_p w (v g - t)^2 / |t|^2 + keep (v - s) G (v - s)`: cube roots g of atoms and t of the material at
-    readings of weights w, prior s (B, n + 1), and G (n + 1, n + 1), inner products of atoms averaged over all
-    directions; only of atoms that are allowed (n + 1,).
+    They minimise `sum_p w (v g - t)^2 / |t|^2 + keep (v - s) G (v - s)`. g and t are cube roots of the atoms and of
+    the material at readings with weights w; s (B, n + 1) is the prior; G (n + 1, n + 1) holds the inner products of
+    the atoms, averaged over all directions. Only `allowed` atoms (n + 1,) get a weight.
     """
     is_read = np.isfinite(read.material)
     known = np.where(is_read, read.material, 0.0)
@@ -211,9 +212,10 @@ _DARK = 0.05  # share of the root mean square of cube roots: changes of darker d
 
 
 def solve_pictures(atoms: LibraryAtoms, evidence: Evidence, usable: Mask | None = None) -> Solution:
-    """Explain evidence by usable atoms (n,); unknown exposures and the noise of pictures are part of the estimate.
+    """Find the weights of usable atoms (n,) that explain pictures, with unknown exposures and noise.
 
-    If there are readings, the pictures' noise is at least the error with which the pictures alone predict them.
+    If there are readings, the pictures' noise is at least the error with which the pictures alone predict the
+    readings.
     """
     contradiction = 0.0
     exposures = (evidence.exposure or 1.0) * _first_gains(atoms, evidence)
@@ -246,9 +248,10 @@ def solve_pictures(atoms: LibraryAtoms, evidence: Evidence, usable: Mask | None 
 def estimate(
     atoms: LibraryAtoms, channels: Sequence[Observation], usable: Mask | None = None
 ) -> tuple[Array, list[Hypotheses]]:
-    """Return weights (C, n) of usable atoms, never negative, that explain C channels, and mixtures of each as prior.
+    """Return non-negative weights (C, n) of usable atoms that explain C channels, and the mixtures as their prior.
 
-    The prior uses pixels alone: readings of a class of material that the library lacks would select a wrong one.
+    The prior uses only the pixels; if the library lacks the class of the material, readings would select a wrong
+    class.
     """
     usable = np.ones(len(atoms), bool) if usable is None else usable
     priors = [pixel_mixtures(atoms, rows.pixels, usable) for rows in channels]
@@ -270,9 +273,9 @@ def strength_of_spots(
     sums: Sequence[tuple[Array, Array | float]],
     exposure: float | None,
 ) -> float:
-    """Return how many times brighter than its clipped value a light's spots are, from the best fit of the pixels.
+    """Return the factor by which clipped spots of a light are brighter than their values, from a fit to the pixels.
 
-    For sums of the pixels of sightings in this light see `Sighting.sums`; an exposure of None is not known.
+    `sums` holds `Sighting.sums` of every sighting in this light; an exposure of None is unknown.
     """
 
     def off(strength: float) -> float:
@@ -316,7 +319,7 @@ def _better_exposures(evidence: Evidence, weights: Array, exposures: Array) -> A
 
 
 def ratio_of(rows: Sequence[Observation], weights: Array) -> float:
-    """Return by which factor rows in C channels are larger than weights (C, n) predict, by their cube roots."""
+    """Return the factor by which rows in C channels are larger than weights (C, n) predict, from their cube roots."""
     products = squares = 0.0
     for one, w in zip(rows, weights, strict=True):
         used = ~one.is_bound
@@ -340,10 +343,11 @@ def _scale_and_contradiction(evidence: Evidence, weights: Array) -> tuple[float,
 def probable_exposure(
     atoms: LibraryAtoms, evidence: Evidence, gains: Array, usable: Mask | None = None
 ) -> float:
-    """Return the exposure at which the library's usable materials (n,) best explain evidence under gains (P,).
+    """Return the exposure with which the usable atoms (n,) best explain the pictures, given their relative gains (P,).
 
-    It is the posterior mean of its logarithm. The prior is the brightness of the library's materials in these pixels,
-    at most white. The ratio of highlights to their surroundings adds little, because many mixtures share it.
+    It is computed as the posterior mean of the logarithm. The prior is the brightness of the library's materials in
+    these pixels, at most white. The contrast of highlights adds little information, because many mixtures have the
+    same contrast.
     """
     every = np.ones(len(atoms), bool) if usable is None else usable
     grey, n = atoms.mixed[-1], atoms.n_measured
@@ -365,7 +369,7 @@ def probable_exposure(
 
 
 def residuals_of(evidence: Evidence, weights: Array, exposures: Array) -> Array:
-    """Return the relative error of every picture, root mean square over channels, (P,)."""
+    """Return the relative cube-root error of every picture (P,), as the root mean square over channels."""
     errors = [
         [rows.scaled(at).relative.error(w) for rows, w in zip(picture, weights, strict=True)]
         for picture, at in zip(evidence.pictures, exposures.tolist(), strict=True)

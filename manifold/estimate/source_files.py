@@ -1,6 +1,6 @@
-"""Files of the materials that a user names, predictions among them.
+"""Provides files of the materials that a user names, including predictions.
 
-Predictions are imported where they are used: it takes 1.5 s, and measured files need none.
+The modules for predictions are imported at first use, which takes 1.5 s.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from manifold.io_rgl import read_bsdf, write_bsdf
 
 
 def read_source(source: MaterialSource) -> BsdfFile:
-    """Return the RGL file of a source, turned as it was measured.
+    """Return the RGL file of a source, in the orientation in which it was measured.
 
-    Predictions are measured by the virtual goniometer.
+    A prediction is measured by the virtual goniometer.
     """
     if not isinstance(source, PlaceSource):
         return read_measured(source)

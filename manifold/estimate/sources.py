@@ -1,4 +1,4 @@
-"""Materials that a user names: a file, a material of a library, or a place on a map; parsed here, once."""
+"""Parses the materials that a user names: a file, a material of a library, or a place on a map."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ _FILE_ENDING = re.compile(r"\.[A-Za-z]\w*")
 
 @dataclass(frozen=True)
 class FileSource:
-    """A file, of whatever format, or a folder."""
+    """A file of any supported format, or a folder."""
 
     path: Path
 
     @property
     def name(self) -> str:
-        """Return the name of the material, from the file's."""
+        """Return the name of the material, which follows from the file's name."""
         return material_name(self.path)
 
     def __str__(self) -> str:
@@ -64,7 +64,7 @@ class PlaceSource:
 
     @property
     def name(self) -> str:
-        """Return the name of predicted files."""
+        """Return the name for files of this prediction."""
         return "predicted"
 
     def __str__(self) -> str:
@@ -75,14 +75,14 @@ class PlaceSource:
 
 
 MaterialSource = FileSource | LibrarySource | PlaceSource
-"""A material as commands take it."""
+"""A material in one of the forms that commands accept."""
 
 
 def parse_source(text: str, model: Path, library: Path | None = None) -> MaterialSource:
-    """Parse a text: a file, else a material of the library, else a folder, else a place on the map.
+    """Parse a text as a file, a material of the library, a folder, or a place on the map, whichever fits first.
 
-    A place is coordinates with commas between, or `FROM:TO:T`. The model need not exist for files; the library is
-    another, or the model's, if it was moved.
+    A place is coordinates separated by commas, or `FROM:TO:T`. For files, the model need not exist. `library`
+    replaces the model's library.
     """
     text = text.strip()
     path = Path(text)
@@ -118,7 +118,7 @@ def parse_source(text: str, model: Path, library: Path | None = None) -> Materia
 
 
 def read_measured(source: FileSource | LibrarySource) -> BsdfFile:
-    """Return the RGL file of a measured material, turned as it was measured."""
+    """Return the RGL file of a measured material, in the orientation in which it was measured."""
     if isinstance(source, FileSource):
         return read_bsdf(source.path)
     from manifold.library.store import Library
@@ -127,7 +127,7 @@ def read_measured(source: FileSource | LibrarySource) -> BsdfFile:
 
 
 def place_of(source: MaterialSource | PlaceLike, model: Manifold) -> Place:
-    """Return the place of a source on a map; other materials are located by their values (`Manifold.embed`)."""
+    """Return the place of a source on a map; materials that are not on the map are located by `Manifold.embed`."""
     if isinstance(source, LibrarySource) and source.name in model.names:
         return model.place(source.name)
     if isinstance(source, FileSource | LibrarySource):

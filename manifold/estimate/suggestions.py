@@ -1,4 +1,4 @@
-"""Suggested directions of the next readings, from three unknown deviations: hypotheses, colours, residual."""
+"""Suggests the directions of the next readings, from three kinds of uncertainty: hypotheses, colours, and residual."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _LEAST = 1e-4  # added to the standard deviation of every pixel
 
 @dataclass(frozen=True, eq=False)
 class Deviations:
-    """H equally probable deviations from a completion, of mean zero.
+    """H equally probable deviations of the true material from a completion, with mean zero.
 
     Attributes:
-        at_candidates: cube roots at the candidate readings, shape (H, D).
-        on_ball: of the pixels of a ball, shape (H, K).
-        everywhere: at all directions, times the square roots of their weights, shape (H, P); P may be 0.
+        at_candidates: deviations of cube roots at the candidate readings, shape (H, D).
+        on_ball: deviations of the pixels of a sphere, shape (H, K).
+        everywhere: deviations at all directions, times the square roots of their weights, shape (H, P); P may be 0.
         noise: variance of the noise of the candidates, shape (D,).
     """
 
@@ -43,13 +43,13 @@ class Deviations:
     noise: Array
 
     def variance_reduction(self, wanted: Array) -> Array:
-        """Return how much each candidate reduces the variance of values that deviate by (H, W), shape (D, W)."""
+        """Return the variance reduction (D, W) of W values by each candidate, given their deviations (H, W)."""
         variance = np.sum(self.at_candidates**2, axis=0) + self.noise
         # A black completion deviates by nothing.
         return np.asarray((self.at_candidates.T @ wanted) ** 2 / (variance + np.finfo(float).tiny)[:, None])
 
     def after(self, reading: Array, noise: float) -> Deviations:
-        """Return the deviations given a reading, at which they are (H,) now."""
+        """Return the deviations after a reading, given the present ones (H,) there and its noise variance."""
         variance = float(reading @ reading)
         if variance == 0.0:
             return self
@@ -61,12 +61,10 @@ class Deviations:
 
 
 def next_readings(unknowns: Sequence[Deviations], count: int) -> Indices:
-    """Return the candidates whose readings reduce the expected errors most, chosen greedily.
+    """Return the indices (count,) of the candidates whose readings reduce the expected errors most, chosen greedily.
 
-    They are indices in order, shape (count,).
-
-    Minimises s b^3: s is the root mean square of the standard deviation over all directions, b its mean over the
-    pixels of a ball. Unknowns are independent of each other, all at the same D candidates.
+    Each choice minimises s b^3, where s is the root mean square of the standard deviation over all directions, and b
+    its mean over the pixels of a sphere. The `unknowns` are independent of each other and have the same D candidates.
     """
     left = list(unknowns)
     chosen: list[int] = []
@@ -97,14 +95,14 @@ _JITTER = 1e-6  # on the diagonal of covariances: candidates may coincide
 
 @dataclass(frozen=True, eq=False)
 class Suggested:
-    """Directions to read, in this order: unit vectors (K, 3)."""
+    """Directions of the next readings, in order, as unit vectors (K, 3)."""
 
     wi: Array
     wo: Array
 
     @property
     def angles_deg(self) -> Array:
-        """theta_i, theta_o and the azimuth between the mirror direction and wo, in degrees, shape (K, 3)."""
+        """theta_i, theta_o and the azimuth of wo from the mirror direction, in degrees, shape (K, 3)."""
         return angles_from_mirror(self.wi, self.wo)
 
 
@@ -114,9 +112,9 @@ def suggest(
     """Return the directions that reduce the expected error most, chosen greedily.
 
     Args:
-        library: of measured materials, or its atoms.
-        count: how many.
-        known: the completion of the readings so far; None if there are none.
+        library: path of a library of measured materials, or its atoms.
+        count: number of directions.
+        known: the completion of the readings so far; None if there are no readings.
         instrument: key of `DIRECTIONS` whose directions are the candidates; None allows any direction.
 
     Raises:
@@ -129,7 +127,7 @@ def suggest(
 
 
 def directions_left(count: int, readings: Readings | None, instrument: str | None) -> tuple[Array, Array]:
-    """Return directions of a named instrument, or of any, that are not among the readings: wi (D, 3) and wo (D, 3)."""
+    """Return the directions wi (D, 3) and wo (D, 3) of an instrument, or any directions, that were not yet measured."""
     wi, wo = all_directions() if instrument is None else DIRECTIONS[instrument]()
     total, of = len(wi), f" of {instrument}" if instrument else ""
     if readings is not None:
@@ -146,10 +144,10 @@ def directions_left(count: int, readings: Readings | None, instrument: str | Non
 def readings_to_take(
     atoms: LibraryAtoms, at: Array, where: Array, count: int, known: Completion | None = None
 ) -> Indices:
-    """Return indices of the candidates to read next, in order, shape (count,).
+    """Return the indices (count,) of the candidates to measure next, in order.
 
-    Hypotheses are those of the completion so far; before the first reading they are the atoms, equally probable. See
-    `next_readings` for the three unknowns. Candidates have cube roots of atoms (n + 1, D), and coordinates (D, 3), see
+    The hypotheses are those of the completion `known`; before the first reading, all atoms are equally probable. `at`
+    holds the cube roots of the atoms at the candidates (n + 1, D), `where` the candidates' coordinates (D, 3), see
     `residual.coordinates`.
     """
     n = len(at) - 1
@@ -248,7 +246,7 @@ def _mean_roots(atoms: LibraryAtoms, roots: Array) -> Array:
 
 
 def all_directions() -> tuple[Array, Array]:
-    """Return pairs at elevations from 0 to 80 degrees by 10, azimuths by 30: wi (D, 3) and wo (D, 3)."""
+    """Return direction pairs wi (D, 3), wo (D, 3) with elevations 0, 10, ... 80 and azimuths 0, 30, ... degrees."""
     return _product(np.arange(0, 81, 10), np.arange(0, 81, 10), np.arange(0, 181, 30))
 
 
@@ -261,7 +259,7 @@ def _mini_diff() -> tuple[Array, Array]:
 
 
 DIRECTIONS = Registry("instrument", [("ma-t12", geometry_ma_t12), ("mini-diff", _mini_diff)])
-"""Directions of named instruments."""
+"""Measurement directions of instruments, by name."""
 
 
 def _product(incidences_deg: Indices, elevations_deg: Indices, azimuths_deg: Indices) -> tuple[Array, Array]:

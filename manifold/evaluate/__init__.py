@@ -1,4 +1,4 @@
-"""Left-out errors of methods: cross-validation, baselines, the report."""
+"""Evaluates methods: cross-validation, baselines, and the report."""
 
 import lazy_loader
 

@@ -20,7 +20,7 @@ _IDENTITY = MAPPINGS["identity"]
 
 
 def fit_nearest(data: Data, training: Indices) -> Encode:
-    """Predict the material whose values are nearest, weighted as the linear error is."""
+    """Predict the material whose values are nearest, with the weights of the linear error."""
     G = data.gram(_IDENTITY, power=2)
 
     def encode(i: int) -> Combination:
@@ -125,14 +125,15 @@ NUMBERS_PER_BAND = 26  # about 13 weights of a reconstruction, and which atoms t
 
 
 def few_numbers(B: int) -> int:
-    """Return how many numbers three atoms with a weight per band take: 12 for RGB."""
+    """Return the number of parameters of three atoms with one weight per band: 12 for RGB."""
     return 3 * (min(B, LEARNT_BANDS) + 1)
 
 
 def fit_nonnegative(sample_bands: int, numbers: Callable[[int], int] | None = None) -> Fit:
-    """Fit all samples, of `sample_bands` bands per material, and lobes: `manifold.model.reconstruction`.
+    """Return the method that fits all samples and lobes by non-negative weights, see `manifold.model.reconstruction`.
 
-    The number of weights is free, or limited to so many numbers of B bands, see `few_atoms`.
+    Samples are `sample_bands` bands per material. `numbers` is a function of the number of bands that limits the
+    number of parameters, see `few_atoms`; None sets no limit.
     """
 
     def fit(data: Data, training: Indices) -> Encode:

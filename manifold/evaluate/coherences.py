@@ -1,4 +1,4 @@
-"""Coherence of maps of the same materials: that of a model, of the published GPLVM, and of principal components."""
+"""Compares the coherence of a model's map with that of the published GPLVM and of principal components."""
 
 from __future__ import annotations
 
@@ -25,11 +25,10 @@ _PCA_MAPPING = "cube-root"
 def coherences(
     model: Manifold, data: Data, table: MaterialTable, *, is_published_shown: bool = True
 ) -> tuple[dict[str, Coherence], list[Pair]]:
-    """Return the coherence of a model and of other maps of its materials by title, and the model's pairs.
+    """Return the coherence of a model and of other maps of its materials, by title, and the model's pairs.
 
-    Maps without detours are left out.
-
-    The principal components are as many as the model's dimensions; the published GPLVM has two.
+    The map of principal components has the model's number of dimensions, the published GPLVM two. Maps without
+    detours are left out.
     """
     of_model, pairs = coherence_of(model.space, table, model.mapping)
     found = {THIS_MODEL: of_model}
@@ -46,5 +45,5 @@ def coherences(
 def measure_map(
     X: Array, at: Callable[[Array], Combination], table: MaterialTable
 ) -> tuple[Coherence | None, list[Pair]]:
-    """Return the coherence of a map with places (N, Q), and its pairs, by its prediction `at` a place (Q,)."""
+    """Return the coherence of a map with latents X (N, Q), and its pairs; `at` predicts at a latent (Q,)."""
     return measure_coherence(X, table.balls.__getitem__, lambda x: table.ball(at(x)))

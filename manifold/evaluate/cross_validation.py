@@ -1,6 +1,6 @@
-"""Held-out methods, and the loop of cross-validation: fit without some materials, encode these from their data.
+"""Cross-validation: fits methods without some materials, and then predicts these from their data.
 
-Latents fitted with the left-out material, or the reconstruction of training data, would be optimistic.
+Errors would be too small if latents were fitted with the left-out material, or if training data were reconstructed.
 """
 
 from __future__ import annotations
@@ -43,18 +43,18 @@ class Method:
     Attributes:
         key: name in JSON.
         title: for people.
-        numbers: how many numbers describe a material of B bands.
-        fit: learns from some materials, and encodes any.
-        is_held_out: whether the prediction of a material is made from the others only.
-        refits: whether every left-out material needs a fit without it; False: one fit to all serves, and
-            `fit` keeps the held-out promise itself.
-        sample_bands: bands of the measured files that predictions need, at most; None is all.
+        numbers: function from the number of bands to the number of parameters of a material.
+        fit: function that learns from some materials, and returns a function that predicts any material.
+        is_held_out: whether a material is predicted from the other materials only.
+        refits: whether every left-out material needs a fit without it; if False, one fit to all is enough, because
+            `fit` itself leaves each material out.
+        sample_bands: largest number of bands of the measured files that predictions need; None means all.
         fits_model: whether a fit searches for latents, which takes long.
-        family: of methods, as the legend of a chart names it.
-        storage: how the measured files are stored.
-        threshold: weights below this share of the largest one are dropped.
+        family: family of methods in the legend of a chart.
+        storage: form in which the measured files are stored.
+        threshold: weights below this share of the largest weight are dropped.
         is_dense: whether every material is resampled to the grid of 1,458,000 direction pairs.
-        map: of all materials, if the method has one.
+        map: function that returns the map of all materials, if the method has one.
     """
 
     key: str
@@ -73,7 +73,7 @@ class Method:
 
 
 def leave_out(n_materials: int, n_folds: int | None = None) -> list[Split]:
-    """Return splits that leave every material out once: one at a time, or in so many folds."""
+    """Return splits that leave out every material once, one at a time or in `n_folds` folds."""
     n_folds = n_materials if n_folds is None else n_folds
     everything = np.arange(n_materials)
     folds = [everything[k::n_folds] for k in range(n_folds)]
@@ -89,7 +89,7 @@ def wall_clock(work: Callable[[], Any]) -> tuple[Any, float]:
 
 @dataclass(frozen=True, eq=False)
 class Encoded:
-    """Predictions of the materials that were left out, in order; and times of fits and of encoding, split by split."""
+    """Predictions of the left-out materials, in order, and the times of fitting and of encoding for every split."""
 
     combinations: tuple[Combination, ...]
     fit_times: tuple[float, ...]
@@ -107,8 +107,8 @@ def cross_validate(
 ) -> Encoded:
     """Encode every material after a fit to the training materials of its split; each is predicted at most once.
 
-    `lap` does the work of a fit, and tells how long it took. The first `own_tables` fits map the values and multiply
-    them anew, which is part of their time. `on_material` is called with the number of materials done.
+    `lap` runs a fit and measures its time. The first `own_tables` fits compute mapped values and their products
+    themselves, which their time includes. `on_material` is called with the number of finished materials.
     """
     found: dict[int, Combination] = {}
     fit_times, encode_times = [], []
@@ -132,7 +132,7 @@ def cross_validate(
 
 
 def encode_all(data: Data, method: Method, on_material: Callable[[int], None] | None = None) -> Encoded:
-    """Encode every material: left out of the fit if the method refits, else all by one fit."""
+    """Encode every material, by fits without it if the method refits, otherwise by one fit to all."""
     everything = np.arange(data.n_materials)
     splits = leave_out(data.n_materials) if method.refits else [(everything, everything)]
     return cross_validate(data, method.fit, splits, on_material=on_material)

@@ -1,4 +1,4 @@
-"""Errors of predictions, of every kind and calibrated, results of methods, and results of interrupted runs."""
+"""Measures the errors of predictions, holds the results of methods, and stores results of interrupted runs."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from manifold.model.combination import Combination, Values, evaluate
 _HIGHEST_COSINE = float(np.cos(np.deg2rad(80.0)))  # nearer to the horizon values grow as 1 / cos
 
 Predictions = Sequence[Sequence[Combination]]
-"""Per method, one per material."""
+"""The predictions of a method, one per material; lists of these hold one entry per method."""
 
 
 class PredictionErrors:
@@ -34,7 +34,7 @@ class PredictionErrors:
 
     Attributes:
         is_clipped: whether the method cuts negative values to 0.
-        seconds: of predicting all materials, wall-clock.
+        seconds: wall-clock time of predicting all materials.
     """
 
     def __init__(self, combinations: Sequence[Combination]) -> None:
@@ -49,7 +49,7 @@ class PredictionErrors:
         self.seconds = 0.0
 
     def add(self, values: Values) -> None:
-        """Count a block of measured values; what their mapping costs counts for every method."""
+        """Add a block of measured values; the time for mapping them is included for every method."""
         start = time.perf_counter()
         predicted = evaluate(self._combinations, Values(values.f, values.wi, values.wo), clip=False)
         self.seconds += time.perf_counter() - start
@@ -66,9 +66,9 @@ class PredictionErrors:
         self._weight += float(weight.sum())
 
     def of_values(self, n_pairs: float = 1.0, shares: Array | float = 1.0) -> Errors[Array]:
-        """Return cube-root and linear error and both RMSE of every material, each (N,).
+        """Return the cube-root error, linear error and both RMSE of every material, each (N,).
 
-        The RMSE sum over bands, of which each that was measured stands for so many, (B',); eq. 22 divides its sum by
+        The RMSE sum over all bands; each measured band represents `shares` (B',) bands. Eq. 22 divides the sum by
         `n_pairs`.
         """
         rmse, rmse_80 = (
@@ -79,7 +79,7 @@ class PredictionErrors:
 
     @property
     def negative_share(self) -> float:
-        """Share of the values that are negative, or were before they were cut."""
+        """Share of the predicted values that are negative, or were negative before they were set to 0."""
         return self._negative / self._count
 
 
@@ -95,11 +95,11 @@ def measure_errors(
 
 
 def standardised_error(data: Data, i: int, combination: Combination) -> float:
-    """Return the error of the mapped prediction of material i, in the standard deviations that the method expected.
+    """Return the error z of the mapped prediction of material i, in standard deviations estimated by the method.
 
-    `z = sqrt(sum w (T(f) - T(f*))^2 / (P sum_b variance_b))` over pairs and the data's bands, with the weight
-    `w = cos(theta_i) cos(theta_o)` that outputs have in the Gram matrix. Calibrated methods have a root mean
-    square of z near 1.
+    `z = sqrt(sum w (T(f) - T(f*))^2 / (P sum_b variance_b))` over direction pairs and the data's bands, with the
+    weights `w = cos(theta_i) cos(theta_o)` of the Gram matrix. For calibrated methods, the root mean square of z is
+    near 1.
     """
     here = combination.in_bands(data.bands)
     wrong = here.mapped(data) - data.mapped(combination.mapping)[i]  # [P, B']
@@ -112,7 +112,7 @@ def standardised_error(data: Data, i: int, combination: Combination) -> float:
 
 
 def colour_errors(materials: Sequence[MeasuredBRDF], predictions: Predictions) -> list[Errors[Array]]:
-    """Return colours and spectral angles at multi-angle geometries of all predictions, method by method."""
+    """Return the colour differences and spectral angles at multi-angle geometries, for each method."""
     values, bands = Values.at(materials, Pairs(*multi_angle_pairs())), materials[0].bands
     errors: list[Errors[Array]] = []
     for each in predictions:
@@ -146,7 +146,7 @@ class MethodErrors:
 
     Attributes:
         key, title, is_held_out: as in `Method`.
-        errors: of every material, each (N,).
+        errors: errors of every material, each (N,).
     """
 
     key: str
@@ -156,12 +156,12 @@ class MethodErrors:
 
     @cached_property
     def median(self) -> Errors[float]:
-        """Over materials."""
+        """Median over the materials."""
         return self.errors.median
 
     @cached_property
     def p90(self) -> Errors[float]:
-        """90th percentile over materials."""
+        """90th percentile over the materials."""
         return self.errors.p90
 
     def to_json(self) -> dict[str, Any]:
@@ -170,9 +170,10 @@ class MethodErrors:
 
 
 class KeptResults:
-    """Measurements of a long experiment, from which an interrupted one continues; without a library, nothing is kept.
+    """Intermediate results of a long experiment, from which an interrupted run continues; they are kept in a library.
 
-    `run` says in words all that the results depend on beside the library, the judged lights and the package's version.
+    `run` is a text with everything on which the results depend, except the library, the test lights and the package's
+    version. Without a library, nothing is kept.
     """
 
     def __init__(self, library: Library | None, run: str) -> None:
@@ -191,5 +192,5 @@ class KeptResults:
             self._library.cache_put(self._key, arrays)
 
     def finish(self) -> None:
-        """Forget the results: the next experiment begins again."""
+        """Delete the results, so that the next experiment starts from the beginning."""
         self.put({})

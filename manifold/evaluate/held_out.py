@@ -1,4 +1,4 @@
-"""Settings measured by cross-validation: held-out errors and costs."""
+"""Measures the held-out errors and costs of settings by cross-validation."""
 
 from __future__ import annotations
 
@@ -44,16 +44,17 @@ _Fitted = tuple[list[Combination], RelativeTime, tuple[str, ...]]
 
 @dataclass(frozen=True, kw_only=True)
 class ChartRow(MethodErrors):
-    """One setting; errors are in some of the bands, which stand for all.
+    """The results of one setting; errors are measured in some of the bands.
 
     Attributes: those of `MethodErrors`, and
-        family: as in `Method`.
-        fit: time to learn from the library, tabulating its materials included; of fits, all of them; None where
-            it was not measured.
+        family: family of methods, as in `Method`.
+        fit: time to learn from the library, including tabulation of its materials, or time of all fits to materials;
+            None if it was not measured.
         predict: time to predict a whole material, at all direction pairs at which it is stored.
-        bytes: of what predictions read: files, and the numbers of all materials.
-        warnings: what fits warned of, once per fold.
-        coherence: of the map of all materials; None for methods without a map, and if all materials look alike.
+        bytes: size of the data that predictions read: files, and the parameters of all materials.
+        warnings: warnings of the fits, once per fold.
+        coherence: coherence of the map of all materials; None for methods without a map, and if all materials look
+            alike.
     """
 
     family: str
@@ -69,10 +70,10 @@ class HeldOut:
 
     Attributes:
         data: values of the materials on a grid, in some bands.
-        pairs, balls: the grid's direction pairs, and the materials' balls.
-        watch: what times are measured by.
-        folds: of the cross-validation.
-        scaled: what was measured in part, and how it was scaled to the whole.
+        pairs, balls: the grid's direction pairs, and the materials' rendered spheres.
+        watch: stopwatch for relative times.
+        folds: number of folds of the cross-validation.
+        scaled: texts about quantities that were measured in part and scaled to the whole.
     """
 
     def __init__(self, files: Sequence[BsdfFile], grid: RusinkiewiczGrid, chosen: Sequence[Method]) -> None:
@@ -127,7 +128,7 @@ class HeldOut:
         )  # fmt: skip
 
     def errors(self, i: int, f: Array, f_ball: Array) -> Errors[float]:
-        """Return the errors of predicted values of material i on grid and ball, (P, B') and (P_ball, B')."""
+        """Return the errors of predicted values of material i on the grid, (P, B'), and the sphere, (P_ball, B')."""
         data = self.data
         wide = np.sqrt(self._shares)  # each band stands for those around it
         rmse = metrics.rmse(wide * data.f[i], wide * f, n_pairs=self._n_pairs)
@@ -174,9 +175,9 @@ class StoredMaterials:
     """Materials in a form of storage, and their values where errors are measured.
 
     Attributes:
-        brdfs: in all bands that are stored.
-        cells: direction pairs of a file, the median.
-        back: the matrix (B, r) from stored bands to all; None where all are stored.
+        brdfs: the materials, in all stored bands.
+        cells: median number of direction pairs of a file.
+        back: matrix (B, r) from the stored bands to all bands; None if all are stored.
     """
 
     def __init__(self, storage: Storage, files: Sequence[BsdfFile], held: HeldOut) -> None:

@@ -1,4 +1,4 @@
-"""Latent variable models as held-out methods: fitted to some materials, they encode others."""
+"""Latent variable models as held-out methods, which are fitted to some materials and predict others."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ AFTER_PUBLISHED = GplvmSettings(mapping="identity")
 
 
 def fit_settings(s: Settings, tolerance: float = _TOLERANCE) -> Fit:
-    """Return the fit of a manifold with these settings, with fewer dimensions if there are too few materials.
+    """Return the method that fits a manifold with these settings, with fewer dimensions if there are too few materials.
 
-    `tolerance` is that of the fit of a GPLVM.
+    `tolerance` ends the fit of a GPLVM.
     """
     if isinstance(s, BlendSettings):
         return _fit_blend(s)
@@ -42,9 +42,8 @@ def fit_settings(s: Settings, tolerance: float = _TOLERANCE) -> Fit:
 def fit_after_published(data: Data, training: Indices) -> Encode:
     """Fit a model after Hikichi & Iwasaki: raw values, two dimensions, direct local search.
 
-    Directions are weighted by their cosines, and the output variance maximises the likelihood.
-
-    They give no rule for the latent of a new material; cube roots, by which all models are searched, look best.
+    Directions are weighted by their cosines, and the output variance maximises the likelihood. The publication has no
+    rule for the latent of a new material; as for all models here, the search compares cube roots.
     """
     return _process(AFTER_PUBLISHED, data, training).encode
 
@@ -62,7 +61,7 @@ def _process(s: GplvmSettings, data: Data, training: Indices, tolerance: float =
 
 
 def fit_map(s: Settings, data: Data) -> tuple[Array, Callable[[Array], Combination]]:
-    """Return the places (N, Q) of all materials on a map, and its prediction at a place (Q,)."""
+    """Return the latents (N, Q) of all materials on a map, and a function that predicts at a latent (Q,)."""
     if isinstance(s, BlendSettings):
         space = _tables(s, data).fit(s.latent_dim, s.covariance())
         return space.X, lambda x: space.combination(x, None, CubeRoot())
@@ -105,11 +104,11 @@ class LatentProcess:
 
     Attributes:
         data: values of all N materials.
-        mapping: T.
-        training: the materials of the process, shape (n,).
+        mapping: the mapping T.
+        training: indices of the training materials, shape (n,).
         prior: weight of the Gaussian prior on latents.
-        known_variance: output variance s^2 of the mapped values, where it is not that of the training materials.
-        is_clipped: whether negative values of predictions of `encode` are cut to 0.
+        known_variance: output variance s^2 of the mapped values; None estimates it from the training materials.
+        is_clipped: whether `encode` sets negative predicted values to 0.
     """
 
     gp: GaussianProcess
@@ -127,7 +126,7 @@ class LatentProcess:
         )
 
     def at(self, latent: Array, weights: Array | None = None) -> Combination:
-        """Predict at a latent (Q,); given weights (n,) replace those of the process."""
+        """Predict at a latent (Q,); `weights` (n,) replace the weights of the process."""
         weights = self.gp.weights(latent[None])[0] if weights is None else weights
         spread = np.zeros(self.data.n_materials)
         spread[self.training] = weights
@@ -141,7 +140,7 @@ class LatentProcess:
 
     @cached_property
     def output_variance(self) -> float:
-        """s^2 of the mapped values."""
+        """Output variance s^2 of the mapped values."""
         if self.known_variance is not None:
             return self.known_variance
         return self.gp.output_variance(self._gram, self.data.n_outputs)

@@ -1,4 +1,4 @@
-"""Values of all materials at the direction pairs that methods learn from, and their Gram matrices."""
+"""Tabulates all materials at the direction pairs from which methods learn, and computes Gram matrices."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class Data(Values):
     """The data of methods: values of N materials at P direction pairs, in B' of their B bands.
 
     Attributes:
-        f: in 1/sr, shape (N, P, B').
-        bands: which of all bands the values are in, increasing, shape (B',); by default all.
-        n_bands: B.
-        stride: one in so many direction pairs serves to find a latent by decoded values.
-        materials: that were evaluated, for methods that look at other direction pairs too.
+        f: values in 1/sr, shape (N, P, B').
+        bands: increasing indices of the B' bands among all bands; by default all.
+        n_bands: number B of all bands.
+        stride: stride over the direction pairs in searches for a latent by decoded values.
+        materials: the evaluated materials, for methods that need other direction pairs.
     """
 
     bands: Indices = field(default=None)  # type: ignore[arg-type]
@@ -56,7 +56,7 @@ class Data(Values):
     ) -> Data:
         """Evaluate N materials of the same bands on a grid, in some bands, increasing.
 
-        By default these are at most LEARNT_BANDS, evenly spaced.
+        By default at most `LEARNT_BANDS` evenly spaced bands are used.
         """
         n_bands = materials[0].bands.count
         bands = evenly_spaced(n_bands, LEARNT_BANDS) if bands is None else bands
@@ -101,13 +101,13 @@ class Data(Values):
 
     @property
     def n_outputs(self) -> int:
-        """D: direction pairs times bands."""
+        """D, the number of direction pairs times the number of bands."""
         return self.f.shape[1] * self.f.shape[2]
 
     def gram(self, mapping: ValueMapping, bands: Indices | None = None, *, power: float = 1.0) -> Array:
-        """Return inner products of samples over direction pairs, weighted by cosines^power, and over a sample's bands.
+        """Return the inner products of samples, summed over direction pairs with weights cosines^power and over bands.
 
-        The shape is (N, N) for whole materials, (N * B_s, N * B_s) for single bands.
+        Samples are whole materials, shape (N, N), or single bands, shape (N * B_s, N * B_s).
         """
 
         def products() -> Array:
@@ -122,14 +122,14 @@ class Data(Values):
     def samples(self, mapping: ValueMapping, bands: Indices | None = None) -> Array:
         """Return T(f), sample by sample: whole materials, shape (N, P * B'), or single bands, shape (N * B_s, P).
 
-        The bands (B_s,) count among all.
+        `bands` (B_s,) are indices among all bands.
         """
         if bands is None:
             return self.mapped(mapping).reshape(self.n_materials, -1)
         return self.mapped_samples(mapping, np.searchsorted(self.bands, bands))
 
     def available_bands(self, count: int) -> Indices:
-        """Return at most `count` of the bands here, as evenly spaced over all bands as possible."""
+        """Return at most `count` of the tabulated bands, as evenly spaced over all bands as possible."""
         wanted = evenly_spaced(self.n_bands, count)
         nearest = np.abs(self.bands[None] - wanted[:, None]).argmin(axis=1)
         return np.unique(self.bands[nearest])
@@ -140,7 +140,7 @@ class Data(Values):
 
 
 def band_shares(bands: Indices, n_bands: int) -> Array:
-    """Return how many of all bands each of the increasing bands (B',) stands for, those nearest to it, shape (B',)."""
+    """Return, for each of the increasing bands (B',), the number of all bands that are nearest to it, shape (B',)."""
     edges = np.concatenate([[-0.5], 0.5 * (bands[1:] + bands[:-1]), [n_bands - 0.5]])
     return np.diff(edges)
 

@@ -1,6 +1,6 @@
-"""The registry of ways to predict a material from others: baselines, and the models of this package.
+"""Lists the methods that predict a material from others: baselines, and the models of this package.
 
-A new method of reports, or a new setting of charts, is one more entry.
+A new method of reports, or a new setting of charts, needs one more entry here.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def baseline_methods() -> list[Method]:
 
 
 def gplvm_methods() -> list[Method]:
-    """Return the models of this package at settings of their own."""
+    """Return the models of this package with the settings `STANDARD`."""
     titles = {
         "gplvm_2": "GPLVM 2, cube root", "gplvm_6": "GPLVM 6, cube root",
         "blend_2": "blend 2 + 2 per band", "blend_3": "blend 3 + 2 per band",

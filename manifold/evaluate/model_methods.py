@@ -1,4 +1,4 @@
-"""Predictions of a fitted manifold for its own materials: reconstructed, left out with latents kept, and refitted."""
+"""Predicts a fitted manifold's own materials: reconstructed, left out with fixed latents, and left out with refits."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def model_methods(model: Manifold) -> list[Method]:
 
 
 def replaced_keys(model: Manifold) -> set[str]:
-    """Return the keys of the standard methods that are the model's own under another name."""
+    """Return the keys of the standard methods that are the same as the model's own methods."""
     same = {key for key, settings in STANDARD.items() if model.settings == settings}
     return same | {f"pca_{_pca_count(model)}_log_relative"}
 

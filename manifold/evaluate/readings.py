@@ -1,4 +1,4 @@
-"""Three errors of left-out materials against the number of readings that they are completed from."""
+"""Measures the errors of left-out materials against the number of readings from which they are completed."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ class Task:
 
     Attributes:
         others: atoms of the other materials.
-        at: their cube roots at the directions to choose from, shape (n + 1, D).
-        roots: the material's cube roots there, shape (B_s, D).
-        wi, wo: these directions, shape (D, 3).
+        at: cube roots of the atoms at the D candidate directions, shape (n + 1, D).
+        roots: cube roots of the material at the candidates, shape (B_s, D).
+        wi, wo: the candidate directions, shape (D, 3).
     """
 
     others: LibraryAtoms
@@ -64,9 +64,9 @@ Predicted = tuple[Array, Array]
 
 @dataclass(frozen=True)
 class ReadingMethod:
-    """A way to complete readings: the directions to read first, its prediction, and its least number of readings.
+    """A method that completes readings: its order of directions, its prediction, and its smallest number of readings.
 
-    `order` gives at least as many directions as it is asked for, best first.
+    `order` returns at least the requested number of directions, best first.
     """
 
     key: str
@@ -174,7 +174,7 @@ class Curve:
 
     Attributes:
         counts: numbers of readings.
-        errors: of every left-out material at each of these numbers, each (N,).
+        errors: errors of every left-out material for each of these numbers, each (N,).
     """
 
     key: str
@@ -184,12 +184,12 @@ class Curve:
 
     @property
     def summary(self) -> list[tuple[int, Errors[float], Errors[float]]]:
-        """Numbers of readings, medians and 90th percentiles there, where any material has errors."""
+        """Numbers of readings with the medians and 90th percentiles of the errors, for numbers with known errors."""
         each = zip(self.counts, self.errors, strict=True)
         return [(n, e.median, e.p90) for n, e in each if not np.all(np.isnan(e.ball))]
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values; None where a method has no error."""
+        """Return plain values; a missing error is None."""
         return {
             "key": self.key, "title": self.title, "counts": list(self.counts),
             "errors": plain(self.errors), "program": f"manifold {__version__}",
@@ -204,10 +204,10 @@ def measure_curves(
 ) -> list[Curve]:
     """Complete every material of a library from the others, from n readings, by every method, or some by their keys.
 
-    Readings are without noise, in the bands of the atoms. Every method chooses its directions, among elevations from 0
-    to 80 degrees by 10 and azimuths by 30; the last curves are the completion at the directions of an MA-T12, without
-    gloss and with it. Materials that are done are kept in the library until all are, so that an interrupted run is
-    continued.
+    Readings have no noise and are in the bands of the atoms. Every method chooses its directions among elevations 0,
+    10, ... 80 degrees and azimuths in steps of 30. The last curves are completions at the directions of an MA-T12,
+    without and with gloss. Finished materials are kept in the library until the run ends, so that an interrupted run
+    continues.
     """
     methods = [METHODS[key] for key in only or METHODS]
     N = len(atoms.names)

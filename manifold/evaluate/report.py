@@ -1,4 +1,4 @@
-"""Evaluation of a fitted manifold and other methods: errors, colour, plausibility, calibration, times, bytes."""
+"""Evaluates a fitted manifold and other methods: errors, colour, plausibility, calibration, times and sizes."""
 
 from __future__ import annotations
 
@@ -65,18 +65,18 @@ class MethodResult(MethodErrors):
     """The results of one method in a report.
 
     Attributes: those of `MethodErrors`, and
-        rmse_uncertainty: relative error of both RMSE, estimated from every second of the measured bands; 0 if all were
-            measured.
-        numbers: that describe one material.
-        bytes: of all measured values that predictions need, and of the numbers of all materials.
+        rmse_uncertainty: relative uncertainty of both RMSE, estimated from half of the measured bands; 0 if all bands
+            were measured.
+        numbers: number of parameters of one material.
+        bytes: size of all measured values that predictions need, and of the parameters of all materials.
         fit_seconds, encode_seconds: wall-clock times of one fit, and of encoding one material.
-        predict_seconds: wall-clock time of predicting one material on the whole grid, in the bands of errors.
-        negative_share: of predicted values, below zero, before any are cut.
-        clipped_share: of those that the method cuts to 0, before errors are measured.
-        reciprocity_error, max_albedo: worst over materials, in the tabulated bands; see `plausibility`.
-        standardised_error: z per material, None where the method gives no variance; see
+        predict_seconds: wall-clock time of predicting one material on the whole grid, in the bands of the errors.
+        negative_share: share of predicted values below zero, before any are set to 0.
+        clipped_share: share of values that the method sets to 0 before errors are measured.
+        reciprocity_error, max_albedo: largest values over the materials, in the tabulated bands; see `plausibility`.
+        standardised_error: z of every material, None if the method gives no variance; see
             `errors.standardised_error`.
-        rms_standardised_error: root mean square of z; about 1 where the method's variance is right.
+        rms_standardised_error: root mean square of z; about 1 if the method's variance is right.
     """
 
     rmse_uncertainty: float
@@ -98,21 +98,21 @@ class Report:
     """The content that `manifold report` prints and writes.
 
     Attributes:
-        names: materials, in the order of all per-material tuples.
-        latents: shape (N, Q) as nested tuples.
-        is_synthetic: per material, whether its file says so.
-        bands: the spectral axis in words.
-        n_error_bands: in how many bands errors were measured; colours always use all.
+        names: names of the materials, in the order of all tuples over materials.
+        latents: latents of the materials, shape (N, Q), as nested tuples.
+        is_synthetic: whether each material's file is marked as synthetic.
+        bands: text that describes the bands.
+        n_error_bands: number of bands in which errors were measured; colours always use all bands.
         grid: name of the grid of direction pairs.
-        n_pairs: its size, pairs below the horizon included.
-        settings: of the model.
-        condition: kappa(K).
-        methods: reconstruction first, then what was held out.
-        expected_errors: how well the model knows its errors, `ball` and `cube_root`; None where it is not calibrated.
-        coherence: of the model and of other maps of its materials, by title.
-        pairs: materials and the most similar ones, by their indices, with the detours of the model.
-        left_out: titles of the methods that would have taken long.
-        seconds: of the stages of the report, wall-clock.
+        n_pairs: size of the grid, including pairs below the horizon.
+        settings: settings of the model.
+        condition: condition number kappa(K).
+        methods: results of the methods, reconstruction first, then held-out methods.
+        expected_errors: reliability of the model's expected errors, `ball` and `cube_root`; None without calibration.
+        coherence: coherence of the model and of other maps of its materials, by title.
+        pairs: materials and the materials most similar to them, by index, with the detours of the model.
+        left_out: titles of the methods that were omitted because they would have taken long.
+        seconds: wall-clock times of the stages of the report.
     """
 
     names: tuple[str, ...]
@@ -170,23 +170,23 @@ def make_report(
 ) -> Report:
     """Evaluate a model and other methods on a grid of direction pairs.
 
-    Weights are found on the default grid, whichever the errors are measured on.
+    Weights are always found on the default grid, even if the errors are measured on another.
 
     Args:
         model: a fitted manifold, or its file.
         grid_name: `default`, or `hikichi` for the 1,458,000 pairs of Hikichi & Iwasaki.
-        library: of the file, if it was moved.
-        compare: also run what takes long: models of other settings, and large ones that are fitted once per
+        library: path of the model's library, if it was moved.
+        compare: also run slow methods: models with other settings, and large models that are fitted once per
             material.
         all_bands: measure errors in all bands, not in about 20 of them.
         principled: also fit Mitsuba's principled to the evaluated materials, for comparison.
-        picture: file of the map of its latents; None for none.
-        workers: see `work.run`; they fit models without each material, and read them from the file.
+        picture: file for a picture of the map; None draws none.
+        workers: executor that fits the models without each material, which it reads from the file; see `work.run`.
 
     Raises:
-        UsageError: the grid is unknown, there are fewer than three materials, or not all are laid out.
+        UsageError: the grid is unknown, there are fewer than three materials, or the map has landmarks.
         LibraryError: a material cannot be read.
-        ManifoldError: a worker was lost.
+        ManifoldError: a worker process ended unexpectedly.
     """
     if picture is not None:
         from manifold.pictures import figures, map_figure
@@ -203,8 +203,8 @@ def make_report(
         figures.save(map_figure.latent_map(model), picture)
     if model.space.landmarks is not None:
         raise UsageError(
-            f"a report on a map of {model.space.materials_in_words}, expected all to be laid out: its methods leave "
-            "out every material; a model's information lists the left-out errors of a sample"
+            f"a report on a map of {model.space.materials_in_words}, expected a map without landmarks, because every "
+            "material is left out; `manifold info MODEL` lists the errors of some left-out materials"
         )
     grid = RusinkiewiczGrid.named(grid_name)
     replaced = replaced_keys(model)
@@ -360,7 +360,7 @@ class _Refits(NamedTuple):
 
 
 def tabulate_materials(model: Manifold, materials: Sequence[MeasuredBRDF]) -> Data:
-    """Return the data of all methods, in about 20 bands, including the samples of blends."""
+    """Return the data for all methods, in about 20 bands, which include the sample bands of blends."""
     count = model.bands.count
     bands = np.union1d(evenly_spaced(count, LEARNT_BANDS), evenly_spaced(count, SAMPLE_BANDS))
     return Data.evaluate(materials, RusinkiewiczGrid.named("default"), bands)

@@ -1,4 +1,4 @@
-"""A report as text for people."""
+"""Formats a report as text."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ _LIGHTS: Columns = (
 _LIGHTS_NOTE = (
     "Median CIEDE2000 of the ball in lights that no fit uses: studio, uniform white, suns at these angles from the "
     "view, in degrees.",
-    "worst: in each material's worst light, median and 90th percentile.",
+    "worst, p90: median and 90th percentile over the materials, each in its worst light.",
 )
 
 
@@ -155,9 +155,9 @@ _EXPECTED_NOTE = (
 
 
 def lead(report: Report) -> str:
-    """Return sentences on the errors of left-out materials, and on places between similar ones.
+    """Return sentences about the errors of left-out materials, and about predictions between similar materials.
 
-    They give the model's own error, that of baselines, whether it is expected, and the detour.
+    They state the model's own error, the errors of baselines, whether the expected errors are right, and the detour.
     """
     by_key = {m.key: m for m in report.methods}
     own = next(by_key[key] for key in _OWN_METHODS if key in by_key)

@@ -1,4 +1,4 @@
-"""Fits to the evaluated material itself, beside held-out predictions."""
+"""Fits to the evaluated materials themselves, for comparison with held-out predictions."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from manifold.render.bsdf_evaluation import evaluator
 
 @dataclass(frozen=True, eq=False)
 class FittedPrediction(Combination):
-    """A prediction that is a BRDF of its own, and no combination of measured materials.
+    """A prediction that is a BRDF by itself instead of a combination of measured materials.
 
     Attributes:
-        brdf: in all bands; None where there is no fit, and every value is NaN.
-        bands: which of its bands, shape (B,).
+        brdf: the BRDF, in all bands; None without a fit, when every value is NaN.
+        bands: indices of the bands that are used, shape (B,).
     """
 
     brdf: EvaluableBRDF | None = field(kw_only=True)
@@ -38,7 +38,7 @@ class FittedPrediction(Combination):
 
     @classmethod
     def of(cls, brdf: EvaluableBRDF | None, n_bands: int) -> FittedPrediction:
-        """Wrap all bands of a BRDF."""
+        """Return the prediction that uses all bands of a BRDF; None stands for a missing fit."""
         bands = np.arange(n_bands)
         return cls(Identity(), np.zeros((n_bands, 0)), bands[:0], is_clipped=False, brdf=brdf, bands=bands)
 
@@ -54,7 +54,7 @@ class FittedPrediction(Combination):
 
 
 def seen_principled() -> Method:
-    """Return fits of Mitsuba's principled to the seen materials, as a method."""
+    """Return the method that fits Mitsuba's `principled` to the evaluated materials themselves."""
 
     def fit_principled(data: Data, training: Indices) -> Encode:
         def encode(i: int) -> Combination:
@@ -86,7 +86,7 @@ _Predictor = Callable[[Pairs], Callable[[], Array]]
 def measure(method: str, files: Sequence[BsdfFile], count: int, held: HeldOut) -> ChartRow:
     """Fit evenly spaced materials by one of `METHODS`.
 
-    Predictions are evaluations at as many direction pairs as the material's file has.
+    The time to predict is measured at as many direction pairs as the material's file has.
     """
     measured, fits, numbers = [], [], []
     for i in evenly_spaced(len(files), count).tolist():

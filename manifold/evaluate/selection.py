@@ -1,7 +1,7 @@
-"""Mapping and number of dimensions of a manifold, chosen by held-out error.
+"""Chooses the mapping and the number of dimensions of a manifold by held-out error.
 
-The materials are dealt into folds. Every candidate is fitted without a fold, embeds its materials from their data,
-and is judged by what it decodes; up to twenty materials every fold holds one, which is leave-one-out.
+The materials are divided into folds. Every candidate is fitted without a fold, locates the fold's materials from
+their data, and is judged by the predictions there. With up to twenty materials every fold holds one (leave-one-out).
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ class Candidate(MethodErrors):
 
     Attributes: those of `MethodErrors`, and
         mapping, latent_dim: the setting.
-        error: geometric mean over materials of the linear error, by which mappings are chosen.
-        detour: geometric mean over materials of the detours of a map of all, see `model.coherence`; 1 without any.
-        seconds: of fitting and encoding all folds.
-        is_chosen: whether it won.
+        error: geometric mean of the linear error over the materials, by which mappings are chosen.
+        detour: geometric mean of the detours on a map of all materials, see `model.coherence`; 1 without any.
+        seconds: time of fitting and encoding all folds.
+        is_chosen: whether this candidate was chosen.
     """
 
     mapping: str
@@ -68,8 +68,8 @@ def choose(
 ) -> tuple[Settings, list[Candidate]]:
     """Choose a mapping at the settings' number of dimensions, then the number of dimensions under that mapping.
 
-    There must be at least four materials of the same bands. Return the chosen settings, and all candidates
-    that were tried, in order.
+    There must be at least four materials with the same bands. Returns the chosen settings, and all candidates that
+    were tried, in order.
     """
     if len(materials) < 4:
         raise UsageError(

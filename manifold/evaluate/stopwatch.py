@@ -1,4 +1,4 @@
-"""Times relative to those of a reference."""
+"""Measures times relative to a reference."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Made = TypeVar("Made")
 
 @dataclass(frozen=True)
 class RelativeTime:
-    """A time in times of the reference: the median of repeated runs, and their interquartile range."""
+    """A time relative to the reference: the median of repeated runs, and their interquartile range."""
 
     median: float
     spread: float
@@ -38,9 +38,9 @@ class RelativeTime:
 
     @classmethod
     def of_several(cls, runs: Sequence[Array]) -> RelativeTime:
-        """Summarise repeated runs of several works: their median, and the spread of runs about it.
+        """Summarise repeated runs of several tasks: the median over all, and the spread of runs.
 
-        The spread of each work's runs is relative to its own median.
+        The spread of each task's runs is relative to the task's own median.
         """
         medians = np.array([np.median(ratios) for ratios in runs])
         apart = np.concatenate([ratios / m for ratios, m in zip(runs, medians, strict=True)])
@@ -49,7 +49,7 @@ class RelativeTime:
 
 
 class Stopwatch:
-    """Processor times relative to a reference run just before, so that machine and other processes do not matter.
+    """Measures processor times relative to a reference that runs just before, which removes effects of the machine.
 
     The reference is one evaluation of a synthetic material in 195 bands at 8192 direction pairs.
     """
@@ -64,7 +64,7 @@ class Stopwatch:
         self._runs.clear()
 
     def lap(self, work: Callable[[], Made]) -> tuple[Made, float]:
-        """Return the result of some work, and its time relative to the reference."""
+        """Run a function; return its result, and its time relative to the reference."""
         start = time.process_time()
         self._brdf.eval_at(self._pairs)
         middle = time.process_time()
@@ -74,7 +74,7 @@ class Stopwatch:
         return result, (end - middle) / (middle - start)
 
     def laps(self, work: Callable[[], object], count: int) -> Array:
-        """Return the times of repeated work, after a run that does not count."""
+        """Return the relative times of `count` runs of a function, after one run that is not measured."""
         work()
         return np.array([self.lap(work)[1] for _ in range(count)])
 
@@ -86,7 +86,7 @@ class Stopwatch:
 
 @contextmanager
 def one_core() -> Iterator[None]:
-    """Run compiled loops and BLAS on one core, whose time depends least on other processes."""
+    """Run compiled loops and BLAS on one core inside the block, which makes times less dependent on other processes."""
     with limit_threads(1), threadpool_limits(1):
         yield
 

@@ -1,4 +1,4 @@
-"""Forms of storage of the measured files: complete, compact, float16, few bands, few angles."""
+"""Forms in which measured files can be stored: complete, compact, float16, few bands, or few angles."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ class Storage:
     """A form in which measured files are stored.
 
     Attributes:
-        key, title: part of those of a setting.
-        reduce: a file as it is stored.
-        bands: how many bands are stored; None is all.
-        stored_bytes: of a reduced file, where that is not what its numbers take.
+        key, title: parts of the key and the title of a setting.
+        reduce: function that returns a file in its stored form.
+        bands: number of stored bands; None means all.
+        stored_bytes: function that returns the size of a stored file in bytes; None means the size of its arrays.
     """
 
     key: str
@@ -35,10 +35,7 @@ class Storage:
     stored_bytes: Callable[[BsdfFile], int] | None = None
 
     def file_bytes(self, stored: BsdfFile, band_share: float = 1.0) -> int:
-        """Return the bytes of a stored file that evaluation reads.
-
-        They are values in a share of the bands, and distributions.
-        """
+        """Return the bytes of a stored file that evaluation reads: distributions, and values in a share of bands."""
         if self.stored_bytes is not None:
             return self.stored_bytes(stored)
         tables = stored.ndf.size + stored.sigma.size + stored.vndf.size
@@ -46,7 +43,7 @@ class Storage:
 
 
 WHOLE = Storage("", "", lambda file: file)
-"""As measured, float32."""
+"""The complete file as measured, in float32."""
 
 
 def compact() -> Storage:
@@ -62,7 +59,7 @@ def compact() -> Storage:
 
 
 def half() -> Storage:
-    """Return storage of all tables as float16; larger values become its largest number."""
+    """Return storage of all tables as float16; values above its range become its largest number."""
     return Storage("half", "float16", _halved, number_bytes=2)
 
 
@@ -77,7 +74,7 @@ def few_bands(count: int) -> Storage:
 
 
 def few_angles(*, outgoing: int, incident: int) -> Storage:
-    """Return storage of every second, third ... row and column of the outgoing grid and its warp, and incidence."""
+    """Return storage of every `outgoing`-th row and column of the outgoing grid and `incident`-th incidence."""
 
     def reduce(file: BsdfFile) -> BsdfFile:
         T = len(file.theta_i_rad)

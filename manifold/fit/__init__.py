@@ -1,4 +1,4 @@
-"""BSDFs fitted to materials, their JSON, and files for engines."""
+"""Fits BSDFs to materials, writes them as JSON, and exports them to rendering engines."""
 
 import lazy_loader
 

@@ -1,7 +1,7 @@
 """Two earlier fitting methods, for comparison: two-stage Adam, and a particle swarm.
 
 Source: the measured-material pipeline of a game studio, and its predecessor of 2015 for a hand-held instrument of 20
-geometries. Where it gives no numbers (learning rate, penalty, window of the convergence test), those here are ours.
+geometries. They state no learning rate, penalty or window of the convergence test; the defaults here are our own.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ class AdamOptions:
     """Hyperparameters of two-stage Adam.
 
     Attributes:
-        learning_rate: of both stages.
-        max_epochs: of each stage.
+        learning_rate: learning rate of both stages.
+        max_epochs: largest number of epochs of each stage.
         penalty: weight of the squared distance of the parameters from their defaults.
-        window, threshold: a stage ends when the mean loss of a window of epochs is no more than this share below that
-            of the window before.
+        window, threshold: a stage ends when the mean loss over a window of epochs falls by less than the share
+            `threshold` from one window to the next.
     """
 
     learning_rate: float = 0.01
@@ -48,7 +48,8 @@ class SwarmOptions:
     """Hyperparameters of the particle swarm.
 
     Attributes:
-        inertia, attraction: of a particle's velocity, and towards its own and the swarm's best place.
+        inertia, attraction: inertia of a particle's velocity, and attraction to its own and to the swarm's best
+            place.
     """
 
     particles: int = 40
@@ -59,7 +60,7 @@ class SwarmOptions:
 
 
 def adam(family: BsdfFamily, samples: FitSamples, residuals: Residuals, options: AdamOptions) -> Minimum:
-    """Fit by Adam in two stages: luminance of RGB samples for the shared values, then everything.
+    """Fit by Adam in two stages: first the shared values to the luminance of RGB samples, then all values.
 
     The second stage minimises the squared linear error. The reported cost is that of the residuals, not Adam's loss.
 
@@ -127,10 +128,8 @@ def _bounds(layout: ParameterLayout) -> tuple[Array, Array]:
 def swarm(family: BsdfFamily, samples: FitSamples, residuals: Residuals, options: SwarmOptions) -> Minimum:
     """Fit by particles that minimise the colour difference of RGB samples on a virtual hemisphere.
 
-    The hemisphere's values are looked-up measurements. The cost of the result is that of the residuals.
-
-    Every virtual direction pair takes the value of the sample nearest in Rusinkiewicz's angles; differences are
-    CIELAB's of 1976.
+    Every direction pair of the hemisphere has the value of the sample nearest in Rusinkiewicz's angles. Differences
+    are CIELAB 1976. The cost of the result is computed from the residuals.
     """
     wi, wo, above = RusinkiewiczGrid(10, 8, 6).directions()
     keep = above & (np.minimum(wi[:, 2], wo[:, 2]) > 0.1)

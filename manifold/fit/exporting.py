@@ -1,4 +1,4 @@
-"""The work behind `manifold export`: a fit, a prediction or a file in; a file of an engine out."""
+"""Implements `manifold export`: writes a fit, a prediction or a measured file for a rendering engine."""
 
 from __future__ import annotations
 
@@ -54,13 +54,13 @@ _PACK_PAGE, _PACK_BALLS = "index.html", "balls"  # page of a pack, and the folde
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A material that is to be exported.
+    """A material to be exported.
 
     Attributes:
-        source: where it comes from, plain values.
+        source: origin of the material, as plain values.
         fit: content of its fit's JSON.
-        material: what the loss is measured against; the fit itself if None.
-        against: what that is: `measured file` or another origin, `prediction` or `fit`.
+        material: the BRDF against which the error is measured; None means the fit itself.
+        against: word for that BRDF: `measured file` or another origin, `prediction` or `fit`.
         notes: diagnostics of a prediction.
     """
 
@@ -93,11 +93,11 @@ class Subject:
 
 
 def subject_of_source(source: MaterialSource, against: Path | None) -> Subject:
-    """Return the material that a user names; `against` is the argument of `subject_of`."""
+    """Return the material that a user names, fitted; `against` is described in `subject_of`."""
     if isinstance(source, FileSource):
         return subject_of(source.path, against)
     if against is not None:
-        raise UsageError(f"{source}: a material is compared with itself, and a fit with {against}; name one")
+        raise UsageError(f"{source}: --against {against} goes only with the JSON of a fit; leave it out")
     if isinstance(source, LibrarySource):
         return subject_in_library(Library(source.library), source.name)
     return subject_of_prediction(source.model, source.place, library=source.library, colour=source.colour)
@@ -106,13 +106,11 @@ def subject_of_source(source: MaterialSource, against: Path | None) -> Subject:
 def subject_of(path: Path, against: Path | None = None) -> Subject:
     """Return the material of a fit's JSON, or of a `.bsdf` file, which is fitted.
 
-    A fit is compared with a measured file or with the fit itself.
+    For a fit, `against` is the measured file with which the export is compared; None compares it with the fit.
     """
     if is_rgl(path):
         if against is not None:
-            raise UsageError(
-                f"{path}: a measured file is compared with itself, and a fit with {against}; name one"
-            )
+            raise UsageError(f"{path}: --against {against} goes only with the JSON of a fit; leave it out")
         return subject_of_file(read_bsdf(path), {"file": path.name, "sha256": file_sha256(path)})
     content = fit_json.read(path)
     source = {"fit": path.name, "sha256": file_sha256(path), "of": content["source"]}
@@ -149,7 +147,7 @@ def subject_of_prediction(
 
 
 def subject_of_file(file: BsdfFile, source: dict[str, Any]) -> Subject:
-    """Fit the material of a file; plain values name its origin."""
+    """Fit the material of a file; `source` holds its origin as plain values."""
     fit = fits.document(fit_bsdf(file), fit_json.FitSource(file.name))
     return Subject(file.name, source, fit, MeasuredBRDF(fill_unmeasured(file)), f"{file.origin} file")
 
@@ -166,15 +164,21 @@ def export(
     picture: Path | None = None, balls: Path | None = None,
     textures: Callable[[Mapping[str, Any]], TextureFiles] | None = None,
 ) -> Outcome[Subject]:  # fmt: skip
-    """Write a material for a target, or for that of the file's suffix.
+    """Write a material for an export target; a target of None is chosen by the suffix of the file.
 
-    `against` applies to sources, see `subject_of_source`.
+    The target's own shading model is fitted to the material, starting from the parameters of `principled`. If
+    programs implement the model differently, pictures show the worst one. The result also holds the parameters and
+    errors for a second target in the same file (`beside`), and the errors without a view-dependent base colour, if
+    there is one.
 
-    The target's own model is fitted to the material, from the parameters of `principled` on. Both are drawn to
-    `picture`, and balls of both in two lights to `balls`, by the worst implementation if there are several. The
-    result also holds parameters and errors of the material for another target `beside`, if the file has them, and
-    the errors without a colour by the angle of view, if it has one. `textures`
-    writes textures for the parameters that were found; None is one material everywhere.
+    Args:
+        subject: the material.
+        target: the target or its name; None chooses it by the suffix of `path`.
+        path: the file to write.
+        against: measured file for the comparison, see `subject_of_source`.
+        picture: file for a plot of the material and the fitted model; None draws none.
+        balls: file for spheres of both in two lights; None draws none.
+        textures: function that writes textures for the fitted parameters; None gives the surface one material.
     """
     target = target if isinstance(target, Target) else target_of(target, path)
     disk.require_writable(path)
@@ -260,14 +264,14 @@ class _Exported(NamedTuple):
 
 
 def exported_model(content: Content) -> TargetBRDF:
-    """Return the model that a result of `export` describes, by its worst implementation."""
+    """Return the shading model that a result of `export` describes, in its worst implementation."""
     several = content.get("implementations") or {}
     worst = max(several, key=lambda name: several[name]["ball"]) if several else None
     return TargetBRDF(TARGETS[content["target"]], content["parameters"], worst)
 
 
 class ExportSource(NamedTuple):
-    """A material to export: its name, the identity of its content, and a function that reads it."""
+    """A material to export that is not yet read: its name, content identity, and a function that reads it."""
 
     name: str
     identity: str
@@ -277,16 +281,16 @@ class ExportSource(NamedTuple):
         return self.name
 
     def made_of(self) -> dict[str, Any]:
-        """Return all that the content depends on, as plain values."""
+        """Return everything that the content depends on, as plain values."""
         return {"material": self.identity}
 
 
 def exports(
     target: Target, *, with_pictures: bool = False, is_pack: bool = False
 ) -> BatchCommand[ExportSource]:
-    """Return the command that writes the materials of `export_sources` for a target; existing files are kept.
+    """Return the batch command that writes the materials of `export_sources` for a target; existing files are kept.
 
-    Each is drawn beside the target's model into NAME.png; a pack also has a page of balls, see `pack`.
+    With pictures, each material is drawn beside the target's model into NAME.png; a pack also has an overview page.
     """
     columns: dict[str, Callable[[Content], Any]] = {
         BALL_COLUMN: lambda content: content["errors"]["ball"],
@@ -311,9 +315,9 @@ def _ball_in(implementation: str, content: Content) -> float:
 
 
 def exports_of_many(targets: Sequence[Target], *, with_pictures: bool = False) -> BatchCommand[ExportSource]:
-    """Return the command that fits every material of `export_sources` once, and writes it for several targets.
+    """Return the batch command that fits every material of `export_sources` once, and writes it for several targets.
 
-    Balls of each material and its exports are drawn into NAME.png.
+    With pictures, spheres of each material and its exports are drawn into NAME.png.
     """
     columns: dict[str, Callable[[Content], Any]] = {
         f"{BALL_COLUMN}, {target.name}": partial(_ball_of, target.name) for target in targets
@@ -331,7 +335,10 @@ def _ball_of(target: str, content: Content) -> float:
 
 
 def paths_for(folder: Path, name: str, targets: Sequence[Target]) -> list[Path]:
-    """Return the files of a material for several targets, files that share a suffix also have the target's name."""
+    """Return the file paths of a material for several targets.
+
+    If targets share a suffix, the names include the target.
+    """
     suffixes = [target.suffix for target in targets]
     marks = [f"_{target.name}" if suffixes.count(target.suffix) > 1 else "" for target in targets]
     return [folder / f"{name}{mark}{suffix}" for mark, suffix in zip(marks, suffixes, strict=True)]
@@ -368,9 +375,9 @@ def export_many(
     material: MaterialSource, targets: Sequence[Target], folder: Path, name: str, *, against: Path | None = None,
     picture: Path | None = None,
 ) -> list[Outcome[Subject]]:  # fmt: skip
-    """Fit a material once, and write it for several targets into a folder, which is made if missing.
+    """Fit a material once, and write it for several targets into a folder, which is created if missing.
 
-    `against` is as in `subject_of_source`; `picture` shows balls of the material and all exports.
+    `against` is described in `subject_of_source`; `picture` shows spheres of the material and of all exports.
     """
     folder.mkdir(parents=True, exist_ok=True)
     paths = paths_for(folder, name, targets)
@@ -430,7 +437,7 @@ def _export(
 
 
 def all_sources(materials: Sequence[MaterialSource]) -> list[ExportSource]:
-    """Return the materials of several sources, those of folders and libraries among them, unread."""
+    """Return the materials of several sources, including folders and libraries, without reading them."""
     found: list[ExportSource] = []
     for material in materials:
         if isinstance(material, FileSource) and (material.path.is_dir() or is_library(material.path)):
@@ -443,7 +450,7 @@ def all_sources(materials: Sequence[MaterialSource]) -> list[ExportSource]:
 
 
 def export_sources(source: Path) -> list[ExportSource]:
-    """Return every material of a library, or every `.bsdf` file and fit of a folder, at every depth, unread."""
+    """List every material of a library, or every `.bsdf` file and fit in a folder (recursively), without reading."""
     if is_library(source):
         library = Library(source)
         return [

@@ -1,4 +1,4 @@
-"""The measures in which a fitted BSDF is compared with samples, and the residuals that a fit minimises."""
+"""Measures of the difference between a fitted BSDF and samples, and the residuals that a fit minimises."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ _SHOULDER = (
 
 @dataclass(frozen=True)
 class Metric:
-    """A measure T of reflectance; residuals are `sqrt(weight) (T(f*_cos) - T(f_cos))`.
+    """A mapping T of reflectance, with which residuals are `sqrt(weight) (T(f*_cos) - T(f_cos))`.
 
-    All are smooth and odd, so that slightly negative values of a colour outside the gamut do no harm. That of
-    `appearance` is the cube root.
+    Every T is smooth and odd, so that slightly negative values of colours outside the gamut do no harm. `appearance`
+    uses the cube root.
 
     Attributes:
         name: one of `METRICS`.
-        knee: where roots and logarithms turn linear, in 1/sr.
+        knee: value below which roots and logarithms are replaced by lines, in 1/sr.
     """
 
     name: str
@@ -43,9 +43,9 @@ class Metric:
 
     @classmethod
     def of(cls, name: str, samples: FitSamples) -> Metric:
-        """Return the measure for some samples."""
+        """Return the metric with a name, with its knee chosen for the samples."""
         if name not in METRICS:
-            raise UsageError(f"no residual is called {name!r}, expected one of {', '.join(METRICS)}")
+            raise UsageError(f"there is no metric {name!r}, expected one of {', '.join(METRICS)}")
         mean = np.average(samples.f_cos, axis=0, weights=samples.weight).mean()
         return cls(name, _KNEE * float(mean))
 
@@ -58,7 +58,7 @@ class Metric:
         return x / np.cbrt(x * x + self.knee**2)
 
     def slope(self, x: Array) -> Array:
-        """Return the derivative of T, same shape."""
+        """Return the derivative of T at x, in the shape of x."""
         if self.name == "linear":
             return np.ones_like(x, dtype=float)
         if self.name == "log":
@@ -68,9 +68,9 @@ class Metric:
 
 
 def ball_errors(fitted: EvaluableBRDF, material: EvaluableBRDF) -> Errors[float]:
-    """Return the differences between the balls of a fit and its material, each in its own bands.
+    """Return the differences between the rendered spheres of a fit and its material, each in its own bands.
 
-    Both are compared in the judged lights and in those of fits.
+    They are compared in the five test lights and in the lights of fits.
     """
 
     def errors(lights: Panel) -> Errors[float]:
@@ -87,10 +87,9 @@ _MISSED, _MISSED_SHARE = 5.0, 2.0
 
 
 def missed_highlight(fitted: EvaluableBRDF, material: EvaluableBRDF) -> str | None:
-    """Return a sentence if a model misses the highlight's colour or strength much more than the rest, else None.
+    """Return a sentence if a model fits the highlight's colour or strength much worse than the rest, or None.
 
-    Examples are the rainbows of flakes and films in models without them, which no other parameter can
-    replace.
+    Examples are the iridescence of flakes and thin films in models without them.
     """
     ball = panel.sun(panel.SUN_DEG)
     xyz, xyz_star = (ball.xyz(values_at(brdf, ball), brdf.bands) for brdf in (fitted, material))
@@ -101,20 +100,20 @@ def missed_highlight(fitted: EvaluableBRDF, material: EvaluableBRDF) -> str | No
         return None
     return (
         f"its highlight is missed: under a sun, CIEDE2000 {near:.0f} within {_NEAR_DEG:.0f} degrees of the mirror "
-        f"direction, {rest:.0f} elsewhere, which no parameter makes up for"
+        f"direction, {rest:.0f} elsewhere, which no parameter of the model can correct"
     )
 
 
 class Criterion:
-    """Residuals of a BSDF against samples; metric `appearance` also compares the pixels of their ball.
+    """The residuals of a BSDF against samples; the metric `appearance` also compares the pixels of their sphere.
 
-    Rows are those of the samples, then those of the pixels, whose cube roots are compared as a display shows them: what
-    is brighter than white weighs little.
+    The rows are first those of the samples, then those of the pixels. Pixels are compared in cube roots as a display
+    shows them, so that values brighter than white have little weight.
 
     Attributes:
-        samples, metric: what is compared, and in which measure.
-        wi, wo: direction pairs at which values are needed, those of the samples first; (P, 3).
-        norm: of the rows of a black surface, what relative residuals are divided by.
+        samples, metric: the samples, and the metric in which they are compared.
+        wi, wo: direction pairs at which values are needed, those of the samples first, shape (P, 3).
+        norm: norm of the rows of a black surface, by which relative residuals are divided.
     """
 
     def __init__(self, samples: FitSamples, name: str) -> None:
@@ -133,7 +132,7 @@ class Criterion:
             self.norm = float(np.hypot(self.norm, np.linalg.norm(self._shown)))
 
     def residual(self, f_cos: Array) -> Array:
-        """Return rows (..., R, B) of values (..., P, B); more pairs than are needed may follow."""
+        """Return the residuals (..., R, B) of values (..., P, B); values at further pairs are ignored."""
         m = len(self.samples)
         rows = self._root * self.metric(f_cos[..., :m, :]) - self._target
         if self._pixels is None:
@@ -142,7 +141,7 @@ class Criterion:
         return np.concatenate([rows, self._scale * shown - self._shown], axis=-2)
 
     def slope(self, f_cos: Array, slope: Array) -> Array:
-        """Return derivatives of the rows (R, B, n) from those of the values (P, B), which are (P, B, n)."""
+        """Return the derivatives of the residuals (R, B, n), from values (P, B) and their derivatives (P, B, n)."""
         m = len(self.samples)
         rows = (self._root * self.metric.slope(f_cos[:m]))[..., None] * slope[:m]
         if self._pixels is None:
@@ -152,11 +151,11 @@ class Criterion:
         return np.concatenate([rows, (self._scale * _DISPLAY.slope(shown) * shoulder)[..., None] * of_pixels])
 
     def relative(self, f_cos: Array) -> float:
-        """Return `||rows|| / norm` of values (P, B)."""
+        """Return the relative residual `||rows|| / norm` of values (P, B)."""
         return float(np.linalg.norm(self.residual(f_cos))) / self.norm
 
     def ball_difference(self, f_cos: Array) -> float:
-        """Return CIEDE2000 between pixels of values (P, 3) in linear sRGB and of the material, mean over the lights."""
+        """Return the mean CIEDE2000 between the spheres of values (P, 3) in linear sRGB and of the material."""
         assert self._pixels is not None
         both = self._pixels.of(f_cos[len(self.samples) :]), self._pixels.values
         xyz, xyz_star = (srgb_to_xyz(np.clip(pixels, 0.0, 1.0)) for pixels in both)
@@ -174,14 +173,14 @@ def _shown(pixels: Array) -> tuple[Array, Array]:
 
 
 def relative_residuals(samples: FitSamples, f_cos: Array) -> dict[str, float]:
-    """Return relative residuals in every measure, by its name, of values at the direction pairs of `appearance`."""
+    """Return the relative residual in every metric, by name, of values at the direction pairs of `appearance`."""
     return {name: Criterion(samples, name).relative(f_cos) for name in METRICS}
 
 
 def best_diffuse(criterion: Criterion) -> tuple[Array, float]:
     """Fit a diffuse BRDF of constant albedo by Gauss-Newton, band by band.
 
-    Return its albedo per band (B,), and its sum of squared residuals, which a fit has to stay below.
+    Returns its albedo per band (B,), and its sum of squared residuals, an upper bound for every fit.
     """
     samples = criterion.samples
     white = np.repeat(criterion.wo[:, 2:] / np.pi, samples.bands.count, axis=1)  # f_cos of a white diffuser

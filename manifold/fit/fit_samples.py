@@ -1,4 +1,4 @@
-"""What BSDFs are fitted to: reflectance samples from arrays, readings or any BRDF, and pixels of a ball."""
+"""The data of fits: reflectance samples from arrays, readings or any BRDF, and the pixels of a rendered sphere."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _BALL, _SUN_PIXELS = (6, 18, 8), 16  # pixels, rings and spokes; pixels under su
 
 @dataclass(frozen=True, eq=False)
 class Pixels:
-    """Small pictures of a ball in the lights of fits, linear radiance (K, B) over that of a white surface.
+    """Small pictures of a sphere in the lights of fits: linear radiance relative to a white surface, shape (K, B).
 
     Errors are reported in other lights.
     """
@@ -36,7 +36,7 @@ class Pixels:
 
     @classmethod
     def of_values(cls, f: Callable[[Array, Array], Array]) -> Pixels:
-        """Return the ball of a material from its BRDF at direction pairs; negative values count as 0."""
+        """Return the pixels of a sphere from a function that evaluates its BRDF; negative values are treated as 0."""
         lights = panel.fitted(*_BALL, sun_pixels=_SUN_PIXELS)
         empty = cls(lights, np.zeros(0))
         return replace(empty, values=empty.of(np.maximum(f(lights.wi, lights.wo), 0.0) * lights.wo[:, 2:]))
@@ -47,7 +47,7 @@ class Pixels:
         return Pixels(lights, self.values[rows])
 
     def of(self, f_cos: Array) -> Array:
-        """Return pixels (..., K, B) of values f cos(theta_o) (..., P, B) at the direction pairs of the panel."""
+        """Return the pixels (..., K, B) from values f cos(theta_o) (..., P, B) at the direction pairs of the sphere."""
         f = np.moveaxis(f_cos / self.lights.wo[:, 2:], -2, 0)
         return np.moveaxis(self.lights.of(f), 0, -2)
 
@@ -59,9 +59,9 @@ class FitSamples:
     Attributes:
         wi, wo: unit vectors, shape (M, 3), above the horizon.
         f: BRDF in 1/sr, shape (M, B).
-        weight: importance of each direction pair, mean 1, shape (M,).
-        is_isotropic: whether the material is, or is assumed to be.
-        pixels: of the material's ball in the same bands; None where it is known at the samples alone.
+        weight: weight of each direction pair, with mean 1, shape (M,).
+        is_isotropic: whether the material is isotropic or assumed to be.
+        pixels: pixels of the material's sphere in the same bands; None if the material is known only at the samples.
     """
 
     wi: Array
@@ -80,8 +80,8 @@ class FitSamples:
 
         Bands are linear sRGB by default.
 
-        Weights (M,) are not negative; by default they are `cos(theta_i)`, which with values times `cos(theta_o)` weighs
-        errors by both cosines.
+        Weights (M,) must not be negative; by default they are `cos(theta_i)`. Because residuals compare f times
+        `cos(theta_o)`, errors are then weighted by both cosines.
         """
         bands = Bands(None) if bands is None else bands
         wi, wo, f = require_directions(wi, "wi"), require_directions(wo, "wo"), np.asarray(f, float)
@@ -113,7 +113,7 @@ class FitSamples:
                 f"weights have shape {weight.shape}, expected {(len(wi),)} of finite numbers, none negative"
             )
         if not np.any(weight[np.any(f > 0, axis=1)] > 0):
-            raise UsageError("every pair that reflects anything has weight 0; raise some weights")
+            raise UsageError("every pair with values above 0 has weight 0; raise some weights")
         return cls(wi, wo, f, weight / weight.mean(), bands)
 
     def __len__(self) -> int:
@@ -125,7 +125,7 @@ class FitSamples:
         return self.f * self.wo[:, 2:]
 
     def subsample(self, n: int) -> FitSamples:
-        """Return at most n of the samples, the same ones each time, spread over the table's order."""
+        """Return at most n of the samples, evenly spaced in the order of the table."""
         if len(self) <= n:
             return self
         # Irrational strides visit every part of a gridded table without beating against its rows.
@@ -149,9 +149,9 @@ class FitSamples:
 
 
 def from_readings(readings: Readings) -> FitSamples:
-    """Return samples of an instrument's readings: those measured in all bands, at most 87 degrees from the normal.
+    """Return samples from an instrument's readings that were measured in all bands, at most 87 degrees from the normal.
 
-    Three narrow bands become spectra, see `colour.narrow_bands`.
+    Three narrow bands are converted to spectra, see `colour.narrow_bands`.
     """
     readings = with_spectra(readings)
     far = np.minimum(readings.wi[:, 2], readings.wo[:, 2]) >= _GRAZING_COS
@@ -167,7 +167,7 @@ def from_readings(readings: Readings) -> FitSamples:
 
 
 def from_brdf(brdf: EvaluableBRDF, rotation_rad: float = 0.0) -> FitSamples:
-    """Return samples of a BRDF, dense around the mirror direction, and its ball; negative values count as 0.
+    """Return samples of a BRDF, dense around the mirror direction, with its sphere; negative values are treated as 0.
 
     `rotation_rad` is the azimuth by which the specimen was rotated; the samples are rotated back.
     """

@@ -1,4 +1,4 @@
-"""The work behind `manifold fit`: files or a prediction in, one JSON per material out."""
+"""Implements `manifold fit`: fits files or a prediction, and writes one JSON per material."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class FitSettings:
         source: FitSource,
         notes: Sequence[str] = (),
     ) -> dict[str, Any]:
-        """Fit a target, and return the content of the fit's JSON; its notes begin with those given."""
+        """Fit a material, and return the content of the fit's JSON; its notes begin with `notes`."""
         found = fit_bsdf(
             target, self.family, method=self.method, metric=self.metric, noise=self.noise,
             wide_colours=self.wide_colours,
@@ -75,7 +75,7 @@ class FitSettings:
         return document(replace(found, notes=(*notes, *found.notes)), source)
 
     def matches(self, content: dict[str, Any]) -> bool:
-        """Return whether a written fit has these settings, and was made by this version of the program."""
+        """Return whether a written fit has these settings and was made by this version of the program."""
         families = [self.family]
         if self.family is None:
             families = [default_principled(known, wide_colours=self.wide_colours) for known in (True, False)]
@@ -89,7 +89,7 @@ class FitSettings:
 
 
 def document(result: FitResult, source: FitSource) -> dict[str, Any]:
-    """Return a fit as plain values, which the schema describes."""
+    """Return a fit as plain values that follow the JSON schema."""
     wavelengths, own = result.bands.wavelengths_nm, result.spectra
     known = asdict(result) | {"errors": result.errors and result.errors.to_json()}
     del known["bands"]
@@ -115,9 +115,10 @@ def read_family(path: Path) -> BsdfFamily:
 
 
 def fit(source: Path | MaterialSource, target: Path, settings: FitSettings | None = None) -> Outcome[Any]:
-    """Fit a file or another material and write the JSON; an earlier run's fit of the same file is kept.
+    """Fit a file or another material and write the JSON; an up-to-date fit of the same file is kept.
 
-    Without a fit of measured data, the outcome says why; for a place, its source is the prediction.
+    If measured data cannot be fitted, the outcome states the reason. For a place on a map, the source of the outcome
+    is the prediction.
     """
     disk.require_writable(target)
     settings = settings or FitSettings()
@@ -137,9 +138,9 @@ def fit(source: Path | MaterialSource, target: Path, settings: FitSettings | Non
 
 
 def fits(settings: FitSettings, *, with_pictures: bool = False) -> BatchCommand[Input]:
-    """Fit many materials, one JSON each; up-to-date fits are kept.
+    """Return the batch command that fits many materials, one JSON each; up-to-date fits are kept.
 
-    With pictures, the fit of a whole BRDF is drawn beside its material, into NAME.fit.png.
+    With pictures, each fit of a whole BRDF is drawn beside its material into NAME.fit.png.
     """
     columns = placed(FitResult.columns(), PREDICTED, before=BALL_COLUMN)
     return BatchCommand(

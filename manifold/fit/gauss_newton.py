@@ -1,4 +1,4 @@
-"""Bounded Gauss-Newton from the starts of a coarse global search, and all the minima it finds."""
+"""Minimises by bounded Gauss-Newton from the best points of a coarse global search, and returns all minima found."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ class GaussNewton:
     """Hyperparameters of the default method.
 
     Attributes:
-        n_search: parameter vectors of the coarse search, a power of two.
-        search_pairs: direction pairs on which it is evaluated.
-        n_starts: of those vectors, how many are refined; where the samples are no more than `coarse_pairs`, also the
-            best vectors with a low and with a high value of each shared parameter, in and out of that quarter of its
-            range.
-        coarse_pairs: direction pairs of the first refinement.
-        coarse_pixels: the coarse refinement uses one in so many pixels of each light.
-        coarse_iterations, iterations: evaluations allowed per start, coarse and fine.
-        tolerance: relative change of the cost, and of the parameters, at which a refinement ends.
-        n_fine: how many distinct minima of the coarse refinement are refined on all pairs.
-        seed: of the quasi-random search.
+        n_search: number of parameter vectors of the coarse search, a power of two.
+        search_pairs: number of direction pairs at which they are evaluated.
+        n_starts: number of the best vectors that are refined. If there are at most `coarse_pairs` samples, the best
+            vectors with a low and with a high value of each shared parameter are refined as well, restricted to that
+            quarter of its range and unrestricted.
+        coarse_pairs: number of direction pairs of the first refinement.
+        coarse_pixels: stride over the pixels of each light in the coarse refinement.
+        coarse_iterations, iterations: evaluations allowed per start in the coarse and the fine refinement.
+        tolerance: relative change of the cost and of the parameters at which a refinement ends.
+        n_fine: number of distinct minima of the coarse refinement that are refined on all pairs.
+        seed: seed of the quasi-random search.
     """
 
     n_search: int = 512
@@ -54,14 +54,14 @@ class GaussNewton:
 
 @dataclass(frozen=True)
 class Minimum:
-    """An end of a refinement.
+    """The result of a refinement.
 
     Attributes:
         p: parameter values, shape (K,).
         cost: sum of squared residuals over all samples.
-        converged: whether the refinement ended by itself, not by its limit.
-        part: of the ranges that it was kept in: lower and upper ends, each (K,). The best there, but perhaps no
-            minimum. None where nothing was confined.
+        converged: whether the refinement converged before the limit of iterations.
+        part: lower and upper ends, each (K,), of the part of the ranges to which the refinement was restricted, so
+            that the result need not be a minimum; None if it was not restricted.
     """
 
     p: Array
@@ -71,7 +71,7 @@ class Minimum:
 
 
 class Residuals:
-    """Residuals as functions of the optimiser's coordinates, shape (R * B,), value and Jacobian shared."""
+    """The residuals (R * B,) and their Jacobian as functions of the optimiser's coordinates, evaluated together."""
 
     def __init__(self, family: BsdfFamily, criterion: Criterion) -> None:
         self.criterion = criterion
@@ -91,11 +91,11 @@ class Residuals:
         return self._both(t)[0]
 
     def jacobian(self, t: Array) -> Array:
-        """Return the residuals' derivatives by t, shape (R * B, K)."""
+        """Return the derivatives of the residuals with respect to t, shape (R * B, K)."""
         return self._both(t)[1]
 
     def by_parameter(self, p: Array) -> tuple[Array, Array]:
-        """Return residuals (R * B,) and their derivatives by the parameters themselves, (R * B, K)."""
+        """Return the residuals (R * B,) and their derivatives with respect to the parameters p, shape (R * B, K)."""
         value, slope = self.evaluator.jacobian(p)
         slope[~np.isfinite(slope)] = 0.0  # a derivative that is infinite at the end of a range moves nothing
         J = self.criterion.slope(value, slope)
@@ -106,7 +106,10 @@ def minimize(
     residuals: Residuals, start: Array, iterations: int, tolerance: float, part: tuple[Array, Array] | None = None,
     kept: Mask | None = None,
 ) -> Minimum:  # fmt: skip
-    """Refine values (K,) within their ranges, or within the ends (K,) of a part of them; kept values (K,) are fixed."""
+    """Refine parameter values (K,) within their ranges, or within a part of them.
+
+    Values marked in `kept` (K,) are fixed.
+    """
     layout = residuals.layout
     free = np.ones(layout.size, bool) if kept is None else ~kept
     at = layout.inward(start)
@@ -136,10 +139,8 @@ def minimize(
 def search(residuals: Residuals, options: GaussNewton) -> tuple[Array, Array]:
     """Return parameter vectors (n, K) spread over the ranges, and their costs (n,) on a few samples, best first.
 
-    Vectors whose BSDF is not finite are left out.
-
-    Bands share their values in a vector, except those of an affine parameter: two evaluations give its best value in
-    every band, to first order in the residual's measure.
+    Vectors whose BSDF is not finite are left out. All bands share the values of a vector, except for parameters in
+    which the BSDF is affine: two evaluations give their best value in every band, to first order in the metric.
     """
     layout, bsdf, metric = residuals.layout, residuals.evaluator, residuals.criterion.metric
     samples = residuals.criterion.samples
@@ -178,9 +179,9 @@ def search(residuals: Residuals, options: GaussNewton) -> tuple[Array, Array]:
 
 
 def distinct(scale: Array, minima: list[Minimum], distance: float) -> list[Minimum]:
-    """Return minima, best first, without those within a distance of a better one.
+    """Return the minima, best first, without those within a distance of a better minimum.
 
-    The distance is the largest difference over the range.
+    The distance is the largest difference of a parameter, relative to its range.
     """
     kept: list[Minimum] = []
     for one in sorted(minima, key=_cost):
@@ -194,9 +195,10 @@ def _cost(minimum: Minimum) -> float:
 
 
 def select_minima(minima: list[Minimum], limit: float) -> list[Minimum]:
-    """Return minima, best first, with the rivals whose difference of cost, below the limit, may be noise.
+    """Return the minima, best first, and the rivals whose costs exceed the best by less than the limit.
 
-    `minima` come from `find_minima`. A rival counts only if no such minimum lies in its part.
+    `minima` come from `find_minima`. A rival is the result of a restricted refinement; it is returned only if no
+    minimum within the limit lies in its part of the ranges.
     """
     best = minima[0].cost
     kept = [one for one in minima if one.part is None]
@@ -212,7 +214,7 @@ def select_minima(minima: list[Minimum], limit: float) -> list[Minimum]:
 
 
 def find_minima(residuals: Residuals, options: GaussNewton) -> list[Minimum]:
-    """Return distinct minima, best first; for few samples, then rivals (see `select_minima`)."""
+    """Return distinct minima, best first, followed for few samples by rivals (see `select_minima`)."""
     stages = Stages({"coarse search": 4, "refinement": 6})
     stages.begin("coarse search")
     layout = residuals.layout
@@ -249,12 +251,10 @@ def find_minima(residuals: Residuals, options: GaussNewton) -> list[Minimum]:
 def refine_bands(
     family: BsdfFamily, samples: FitSamples, metric: str, values: Mapping[str, Any]
 ) -> tuple[dict[str, float | list[float]], float]:
-    """Fit the parameters per band to samples in B bands, each band by itself, from the mean of RGB.
+    """Fit the parameters that differ between bands to samples in B bands, starting from the mean of RGB.
 
-    Shared values are kept. Return all values by name, and the relative residual.
-
-    Levenberg-Marquardt in all bands at once, at some of the samples. Values stay above 0: Mitsuba takes no negative
-    spectra.
+    Shared values are kept. Returns all values by name, and the relative residual. The method is Levenberg-Marquardt
+    in all bands at once, on some of the samples. Values stay above 0, because Mitsuba accepts no negative spectra.
     """
     criterion = Criterion(samples.subset(_spread(len(samples), _BAND_PAIRS)), metric)
     bands = evaluator(family, criterion.wi, criterion.wo, samples.bands.count)

@@ -1,4 +1,4 @@
-"""Identifiability of the parameters of a fit: standard errors, and whether the data determine them at all."""
+"""Computes the standard errors of fitted parameters, and whether the data determine the parameters at all."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ class ParameterIdentifiability:
     """Identifiability of one parameter, or of its value in one band.
 
     Attributes:
-        name: of the parameter, with the band's index where there are several.
+        name: name of the parameter, with the index of the band if there are several.
         value: the fitted value.
-        standard_error: of the value, never more than that of a uniform guess over the range.
+        standard_error: standard error of the value, at most that of a uniform distribution over the range.
         state: `determined` (twice the standard error is within the parameter's tolerance), `uncertain`,
             `not seen` (the samples hardly depend on it), or `ambiguous` (another minimum, as good within the
             noise, has a different value).
-        at_bound: whether the fit ended at an end of the range.
-        entangled_with: the parameter it is most correlated with, if the correlation exceeds 0.9 and it is not
-            determined, else None.
-        is_kept: whether it was left at the BSDF's default, since the samples do not determine it.
+        at_bound: whether the value is at an end of its range.
+        entangled_with: the parameter with which it is most correlated, if the correlation exceeds 0.9 and the
+            parameter is not determined; otherwise None.
+        is_kept: whether the parameter was left at the BSDF's default, because the samples do not determine it.
     """
 
     name: str
@@ -57,20 +57,20 @@ class ParameterIdentifiability:
 
 
 def residual_variance(residual: Array, n_parameters: int, floor: float) -> float:
-    """Return the variance of one residual of a fit of n parameters, at least that of the assumed noise."""
+    """Return the variance of a residual in a fit of n parameters, at least `floor`, that of the assumed noise."""
     freedom = max(residual.size - n_parameters, 1)
     return max(float(residual @ residual) / freedom, floor)
 
 
 def as_good_limit(variance: float, n_parameters: int) -> float:
-    """Return the difference of two costs that noise of this variance may hide: a chi-square test at 99 %."""
+    """Return the largest difference of two costs that noise of this variance can explain (chi-square test at 99 %)."""
     return variance * float(chi2.ppf(_CONFIDENCE, n_parameters))
 
 
 def gauss_newton_step(layout: ParameterLayout, p: Array, residual: Array, J: Array) -> tuple[Array, float]:
-    """Return the step (K,) of one Gauss-Newton iteration, at most a tenth of any range, and the cost it promises.
+    """Return the step (K,) of one Gauss-Newton iteration, at most a tenth of any range, and its predicted cost.
 
-    It uses residuals (n,) and their derivatives (n, K).
+    It uses the residuals (n,) and their derivatives J (n, K).
     """
     span = layout.maximum - layout.minimum
     room = np.array([layout.minimum - p, layout.maximum - p]) / span
@@ -86,7 +86,7 @@ def is_different(
 ) -> bool:
     """Return whether other values (K,) differ from p in a parameter that the samples determine.
 
-    The difference must exceed error and tolerance.
+    The difference must exceed both the standard error and the tolerance.
     """
     error = np.array([s.standard_error for s in statements])
     is_seen = np.array([s.state != UNSEEN for s in statements])
@@ -102,12 +102,11 @@ def identify_parameters(
     alternatives: list[Array],
     kept: Mask,
 ) -> tuple[ParameterIdentifiability, ...]:
-    """Return the identifiability of all K fitted values, by derivatives (n, K) of the residuals and their variance.
+    """Return the identifiability of all K fitted values, from the derivatives J (n, K) and variance of the residuals.
 
-    `alternatives` (K,) fit as well within the noise; `kept` (K,) were left at their defaults.
-
-    The covariance is `(J^T J / variance + I / prior)^-1`, where the prior is a uniform guess over the range: it keeps
-    directions that the samples do not see finite.
+    `alternatives` are other values, each (K,), that fit as well within the noise; `kept` (K,) marks values left at
+    their defaults. The covariance is `(J^T J / variance + I / prior)^-1`. The prior variance is that of a uniform
+    distribution over the range, which keeps the variance finite in directions that the samples do not determine.
     """
     span = layout.maximum - layout.minimum
     prior = span / np.sqrt(12.0)
@@ -150,11 +149,11 @@ def identify_parameters(
 
 @dataclass(frozen=True, eq=False)
 class TriedDefaults:
-    """A record of which of K values were set to their defaults.
+    """A record of which of K values were set to their defaults for a trial.
 
     Attributes:
-        kept: left there, since the fit is as good; bool (K,).
-        refused: the fit was worse; bool (K,). The samples do see these.
+        kept: whether the value stays at its default, because the fit is as good, bool (K,).
+        refused: whether the fit was worse at the default, so that the samples do depend on the value, bool (K,).
     """
 
     kept: Mask
@@ -162,7 +161,7 @@ class TriedDefaults:
 
     @classmethod
     def none(cls, size: int) -> TriedDefaults:
-        """Return the record of no trial."""
+        """Return a record without any trial."""
         return cls(np.zeros(size, bool), np.zeros(size, bool))
 
 
@@ -175,11 +174,11 @@ def keep_undetermined(
 ) -> tuple[Minimum, TriedDefaults]:
     """Set undetermined values to their defaults if that costs nothing, and refine the others again.
 
-    Return the best minimum, and the outcome of the values that were set to defaults.
+    Returns the best minimum, and a record of the trials.
 
-    A value is undetermined if the samples hardly depend on it, or if it is uncertain and ended at a bound other than
-    its default. One after the other, the least certain first, is set to its default; it stays there where the fit is
-    as good within the noise: the costs differ by less than the limit.
+    A value is undetermined if the samples hardly depend on it, or if it is uncertain and is at a bound other than its
+    default. The values are set to their defaults one after the other, the least certain first. A value stays at its
+    default if the cost increases by less than `limit`, which noise can explain.
     """
     layout = residuals.layout
     owners = layout.owner

@@ -45,10 +45,10 @@ class FittedMinimum:
     """One minimum of the residual.
 
     Attributes:
-        values: by parameter; a list of three for a colour.
-        residual: relative, in the metric of the fit.
-        as_good: whether noise may hide its difference to the best.
-        converged: whether the optimiser ended by itself.
+        values: values by parameter; a list of three for a colour.
+        residual: relative residual in the metric of the fit.
+        as_good: whether noise can explain its difference from the best minimum.
+        converged: whether the optimiser converged before its limit.
     """
 
     values: dict[str, float | list[float]]
@@ -62,24 +62,24 @@ class FitResult(Result):
     """A fitted BSDF, with residuals, minima and identifiability; `fits.document` is its JSON.
 
     Attributes:
-        family: what was fitted.
+        family: the BSDF that was fitted, and its free parameters.
         values: the best values by parameter; a list of three, linear sRGB, for a colour.
         bands: the bands of the samples.
         spectra: for spectral samples, values per band of the parameters per band, by name.
-        method, metric: names.
-        hyperparameters: of the method, with the assumed noise.
-        residuals: relative residuals by metric, of the RGB fit.
-        diffuse_residual: that of the best constant-albedo diffuse, in the metric of the fit.
-        errors: of the fit's ball; None where that is known at samples alone.
-        spectral_residual: in the metric of the fit over all bands; None for RGB samples.
+        method, metric: names of the method and the metric.
+        hyperparameters: hyperparameters of the method, and the assumed noise.
+        residuals: relative residuals of the RGB fit, by metric.
+        diffuse_residual: relative residual of the best diffuse BRDF of constant albedo, in the metric of the fit.
+        errors: errors of the fit's rendered sphere; None if the material is known only at samples.
+        spectral_residual: relative residual over all bands, in the metric of the fit; None for RGB samples.
         minima: all distinct minima found, best first.
         statements: how well the samples determine each value.
-        notes: what a user should know, one line each.
+        notes: sentences for users, one line each.
         n_pairs: number of samples.
-        variant: what evaluated the BSDF: `numpy`, or the name of a Mitsuba variant.
+        variant: evaluator of the BSDF, `numpy` or the name of a Mitsuba variant.
         seconds: duration of the fit, without reading and sampling.
-        rotation_deg: azimuth, from x, of the direction in which the material's highlights are widest; those of the
-            BSDF are widest along x.
+        rotation_deg: azimuth, from x, along which the material's highlights are widest; the BSDF's highlights are
+            widest along x.
     """
 
     family: BsdfFamily = field(metadata=entry(columns={"BSDF": lambda content: content["bsdf"]["type"]}))
@@ -123,7 +123,7 @@ class FitResult(Result):
 
     @classmethod
     def of_document(cls, content: Mapping[str, Any]) -> FitResult:
-        """Return the fit that a document holds, see `fits.document`; without its own spectra its bands are RGB."""
+        """Return the fit that a JSON document holds, see `fits.document`; without spectra its bands are RGB."""
         known = {shown.name: content[shown.name] for shown in fields(cls) if shown.name in content}
         spectra = content["spectra"] or {"values": {}, "wavelengths_nm": None}
         return cls(
@@ -140,7 +140,7 @@ class FitResult(Result):
 
     @property
     def rows(self) -> dict[str, object]:
-        """Return the rows of the table, by label: first how well every value is determined."""
+        """Return the rows of the fit's table, by label, beginning with how well every value is determined."""
         return {each.name: str(each) for each in self.statements} | super().rows
 
     @property
@@ -172,23 +172,23 @@ def fit_bsdf(
     then found in every band with the shared ones fixed.
 
     Args:
-        target: a file (its unmeasured cells filled), any BRDF, or samples. Files and BRDFs are sampled on a grid,
-            anisotropic ones turned to where their highlights are wide along x, as `principled`'s are, and their
-            ball is lit in two lights: one for the fit, one for its error alone.
-        family: the BSDF with its free parameters, or the name `principled` or `diffuse` of one with its usual ones. If
-            None, `default_principled`; and from method gauss-newton `diffuse()` where that fits better: no parameters
-            make `principled` Lambertian.
+        target: a file (its unmeasured cells are filled), any BRDF, or samples. Files and BRDFs are sampled on a grid;
+            anisotropic ones are first turned so that their highlights are wide along x, as those of `principled` are.
+            A sphere is rendered in separate lights for the fit and for its error.
+        family: the BSDF with its free parameters, or the name `principled` or `diffuse` for the usual ones. None
+            means `default_principled`, or with the method gauss-newton `diffuse()` if that fits better, because
+            `principled` cannot be Lambertian.
         method: one of `FITTERS`.
-        metric: one of `fit_metrics.METRICS`, in which residuals are minimised and compared. `appearance` is that of the
-            colours of the ball and of cube roots at the samples; of samples without a ball, cube roots alone.
-        noise: lower bound of the samples' relative standard deviation that the statements assume.
+        metric: one of `fit_metrics.METRICS`, in which residuals are minimised and compared. `appearance` compares the
+            colours of the sphere and the cube roots of the samples; without a sphere, only the cube roots.
+        noise: lower bound of the samples' relative standard deviation, for the statements on identifiability.
         options: hyperparameters of the method.
-        wide_colours: without a family, let base colours leave [0, 1], as colours outside Rec. 709 do.
+        wide_colours: whether, without a family, base colours may leave [0, 1], like colours outside Rec. 709.
 
     Raises:
         UsageError: the samples cannot be fitted, a name is unknown, or Mitsuba refuses the BSDF.
         RendererError: the BSDF is neither `principled` nor `diffuse`, and Mitsuba or its LLVM backend is missing.
-        ShapeError: the samples have wrong shapes or values that are no numbers.
+        ShapeError: the samples have wrong shapes, or values that are not numbers.
     """
     if options is None:
         options = FITTERS[method]()
@@ -236,7 +236,8 @@ def _fit_or_diffuse(
     if isinstance(family, str):
         if family not in named:
             raise UnknownNameError(
-                f"no BSDF '{family}' to fit; {names_like(named, family, 'names are')}; others are a BsdfFamily"
+                f"no BSDF '{family}' to fit; {names_like(named, family, 'names are')}; give another BSDF as a "
+                "BsdfFamily"
             )
         family = named[family]
     if family is not None:

@@ -1,6 +1,7 @@
 """Tables like those of ASTM E1392: `KEY value` lines, a line `VARS theta_i,phi_i,theta_s,phi_s,...`, then rows.
 
-Radians about the normal, BRDF in 1/sr, as goniometers such as the Mini-Diff V2 (Light Tec, Synopsys) write them.
+Angles are in radians about the normal, values are the BRDF in 1/sr. Goniometers such as the Mini-Diff V2 (Light Tec,
+Synopsys) write such files.
 """
 
 from __future__ import annotations
@@ -242,7 +243,7 @@ def _readings(
     if np.any(values < 0):
         count = int((values < 0).sum())
         are = "value is" if count == 1 else "values are"
-        notes.append(f"{count} {are} negative, down to {np.nanmin(values):.3g}: noise, kept")
+        notes.append(f"{count} {are} negative, down to {np.nanmin(values):.3g}; they are kept as noise")
     return Readings(
         name, instrument, wi, wo, nm, values, notes=tuple(notes),
         assumed_unit=None if assumed is None else assumed.unit, **weighed,
@@ -250,7 +251,7 @@ def _readings(
 
 
 def write(path: Path, readings: Readings) -> None:
-    """Write the table in radians, azimuths from 0 to 2 pi, in order of the readings."""
+    """Write readings as a table in radians, with azimuths from 0 to 2 pi, in the order of the readings."""
     if not np.all(readings.measured):
         raise ShapeError(f"{readings.name}: some values are missing, expected all; select other pairs")
     lines = [

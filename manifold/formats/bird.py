@@ -1,7 +1,7 @@
 """BRDF files of the BiRD project (EURAMET): JSON with a row for every value, and its uncertainty.
 
-Angles in degrees or radians, wavelengths in nm or um, values in 1/sr. Values of several polarisation states at the
-same directions and wavelength are averaged, which gives the value of unpolarised light if the states are
+Angles are in degrees or radians, wavelengths in nm or um, values in 1/sr. Values of several polarisation states at
+the same directions and wavelength are averaged, which gives the value of unpolarised light if the states are
 orthogonal.
 
 Source: BiRD project, BRDF_JSON_schema version 1.0.
@@ -49,7 +49,7 @@ def sniff(head: bytes) -> bool:
 def read(path: Path) -> list[Readings]:
     """Return readings at all wavelengths, with NaN where a pair of directions has no value.
 
-    Readings with a larger uncertainty get a smaller weight; their scatter is the uncertainty of the cube roots.
+    Readings with a larger uncertainty get a smaller weight; their `scatter` is the uncertainty of their cube roots.
     """
     context = ErrorContext(path, _REMEDY)
     try:
@@ -110,7 +110,7 @@ def _variable(
     ):
         raise context.error("has values that are not numbers of at least 0", field=key)
     if count is not None and len(values) != count:
-        raise context.error(f"has {len(values)} values, expected {count}, as BRDF has", field=key)
+        raise context.error(f"has {len(values)} values, expected {count}, as many as the BRDF has", field=key)
     return np.array(values, dtype=np.float64), str(variable.get("unit", ""))
 
 
@@ -152,7 +152,7 @@ def _uncertainty(data: dict[str, Any], count: int, context: ErrorContext) -> Arr
 
 
 def write(path: Path, readings: Readings, method: str) -> None:
-    """Write spectral readings as a BiRD file; if they have a scatter, with an uncertainty of every value.
+    """Write spectral readings as a BiRD file, with an uncertainty of every value if they have a `scatter`.
 
     The fields on who measured, where and with which instrument are left empty.
     """

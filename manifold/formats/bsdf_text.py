@@ -1,4 +1,4 @@
-"""The common parts of the text formats `.bsdf` of LightTools and Zemax: lists of angles, keys, tables with a TIS."""
+"""Reads and writes the common parts of the `.bsdf` text formats of LightTools and Zemax."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ _XYZ = {f"{word}{letter}": k for word in ("tris", "tristimulus") for k, letter i
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """A table of values, and the keys that stand before it.
+    """A table of values, and the keys before it.
 
     Attributes:
         values: azimuths x radials.
-        words: the text behind other keys, by the plain form of the key.
+        words: the texts after other keys, by the key in plain form.
         numbers: `aoi`, `poi` and `wavelength`, if they are given.
         tristimulus: 0, 1 or 2 for X, Y or Z.
-        tis: total integrated scatter that the file states, a fraction.
+        tis: total integrated scatter (TIS) that the file states, as a fraction.
     """
 
     values: Array
@@ -71,14 +71,14 @@ class BsdfText:
         return unique_directions(self.lists["scatterazimuth"], self.lists["scatterradial"])
 
     def require_brdf(self, words: dict[str, str]) -> None:
-        """Raise FileFormatError if the words before a table say that its values are no BRDF."""
+        """Raise FileFormatError if the keys before a table say that its values are not a BRDF."""
         said = words.get("scattertype", "BRDF")
         if quantity_in_prose(said, "ScatterType", self.context) is not BRDF:
             raise self.context.error(f"ScatterType is '{said[:24]}', expected BRDF")
 
 
 def unique_directions(azimuths: Array, radials: Array) -> tuple[Array, Array, Indices]:
-    """Return azimuth and radial angle (n,) in degrees of a table's directions, azimuths first, and their index in it.
+    """Return azimuths (n,) and radial angles (n,) of a table's distinct directions in degrees, and their indices.
 
     Azimuth 360 is dropped if 0 is present. Radial angle 0 is one direction, which has the first azimuth.
     """
@@ -227,7 +227,7 @@ class Words:
         """Return the next `count` words as finite numbers that increase, shape (count,)."""
         where, values = self.line, self.numbers(count, what)
         if np.any(np.diff(values) <= 0.0):
-            raise self.context.error(f"{what} do not increase, expected them ordered", where)
+            raise self.context.error(f"{what} do not increase, expected increasing ones", where)
         return values
 
     def angles(self, key: str) -> Array:
@@ -235,7 +235,7 @@ class Words:
         return self.increasing(self.count(key), f"angles of {key}")
 
     def table(self, azimuths: Array, radials: Array) -> Array:
-        """Return the next azimuths x radials values, however they are divided into lines."""
+        """Return the next azimuths x radials values, in lines of any length."""
         shape = azimuths.size, radials.size
         if azimuths.size * radials.size > _MOST_VALUES:
             raise self.context.error(f"{shape[0]} x {shape[1]} values, expected at most {_MOST_VALUES}")
@@ -250,7 +250,8 @@ def _plain(word: str) -> str:
 def total_scatter(values: Array, azimuth: Array, radial: Array, cosine: Array) -> float:
     """Return the fraction of light in a table (azimuths, radials) about an axis, by the trapezoidal rule.
 
-    Angles in radians, cosines of theta_o broadcast. Tables that hold one azimuth, or half of them, are symmetric.
+    Angles are in radians; the cosines of theta_o broadcast. Tables with one azimuth, or over half a turn, are
+    symmetric.
     """
     rings = values * np.abs(np.sin(radial)) * np.maximum(cosine, 0.0)
     turn = 2.0 * np.pi if radial[0] >= 0.0 else np.pi
@@ -259,7 +260,7 @@ def total_scatter(values: Array, azimuth: Array, radial: Array, cosine: Array) -
 
 
 def note_contradictions(text: BsdfText, tables: Iterable[tuple[Block, Array]], notes: list[str]) -> None:
-    """Add a note if a TIS is far from its table's integral; cosines of theta_o are broadcast."""
+    """Add a note if the stated total scatter (TIS) is far from its table's integral; cosines of theta_o broadcast."""
     azimuth, radial = (np.deg2rad(text.lists[name]) for name in _LISTS[2:])
     pairs = [(block.tis, total_scatter(block.values, azimuth, radial, cosine)) for block, cosine in tables]
     apart = [abs(said - found) / max(abs(said), abs(found), _LEAST_TIS) for said, found in pairs]

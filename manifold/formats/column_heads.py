@@ -12,9 +12,9 @@ from manifold.formats.readings import GLOSS_ANGLES_DEG, Viewing
 from manifold.formats.text import LENGTH_UNIT, ErrorContext, wavelength_nm
 
 RELATIVE = "phi_o - phi_i"
-"""What `angle_name` calls a difference of azimuths."""
+"""Name of `angle_name` for a difference of azimuths."""
 PHASE = "phase"
-"""The name of the angle between the directions to the light and to the eye."""
+"""Name of the angle between the directions to the light and to the viewer."""
 
 _LONGEST = 80  # letters; longer cells are no heads
 _LIGHT = r"(i|in|inc|incident|incidence|incoming|light|lighting|illumination|source|sun|solar)"
@@ -129,8 +129,9 @@ def _letters(head: str) -> str:
 def angle_names(heads: Sequence[str]) -> list[str | None]:
     """Return the angle of every heading of a table, or None; a heading may depend on the others.
 
-    `phi` beside `phi_r` is that of the light, as `theta` is beside `theta_r`. `azimuth` beside `incidence` and
-    `emission` is that between their planes, as in planetary photometry, whose letters i, e, g and psi are understood.
+    `phi` beside `phi_r` is the azimuth of the light, as is `theta` beside `theta_r`. `azimuth` beside `incidence` and
+    `emission` is the angle between their planes, as in planetary photometry, whose letters i, e, g and psi are
+    understood.
     """
     letters = [_letters(head) for head in heads]
     is_planetary = {"i", "e"} <= set(letters)
@@ -200,7 +201,7 @@ def wavelength(head: str) -> float | None:
 def wavelength_unit(head: str) -> str | None:
     """Return the unit of a column of wavelengths or wavenumbers, by its heading; None for other columns.
 
-    It is empty where the head names none.
+    The unit is empty if the heading names none.
 
     >>> wavelength_unit("Wavelength (nm)"), wavelength_unit("lambda"), wavelength_unit("465nm")
     ('nm', '', None)
@@ -264,7 +265,7 @@ class UncertaintyHead(NamedTuple):
     Attributes:
         nm: the wavelength of the values to which it belongs, or None.
         is_relative: whether the uncertainties are relative to the values.
-        coverage: coverage factor; 0 for expanded uncertainties that state none.
+        coverage: coverage factor; 0 for expanded uncertainties without a stated factor.
     """
 
     nm: float | None
@@ -317,7 +318,7 @@ def gloss_angle(head: str) -> float | None:
 
 
 class LabHead(NamedTuple):
-    """A heading such as `L* (D65/10)`: its axis is `l`, `a` or `b`, its viewing None if it names none."""
+    """The meaning of a heading such as `L* (D65/10)`: the axis `l`, `a` or `b`, and the viewing or None."""
 
     axis: str
     viewing: Viewing | None
@@ -365,7 +366,7 @@ def lab_columns(
 ) -> tuple[list[int], Viewing | None] | None:
     """Return the columns of L*, a* and b* of a header, and their light and observer; or None.
 
-    If a header has several such triples, return that of the wanted light and observer, else the first.
+    If a header has several such triples, return the one of the wanted light and observer, otherwise the first.
     """
     said = {k: lab for k, head in enumerate(heads) if (lab := lab_head(head)) is not None}
     by_viewing: dict[Viewing | None, list[int]] = {}

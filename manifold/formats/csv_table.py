@@ -1,8 +1,8 @@
-"""CSV files of readings: a row per geometry of a spectrophotometer, or directions in degrees beside f in 1/sr.
+"""CSV files of readings: one row per geometry of a spectrophotometer, or per direction pair in degrees with f in 1/sr.
 
-Separators are `;`, tab or comma, or blanks below a header of directions. Unless commas separate, decimal commas are
-numbers. Lines that begin with # are comments; `# format:`, `# name:`, `# instrument:` and `# gloss 60:` are the
-package's own.
+Separators are `;`, tab or comma, or blanks below a header of directions. Decimal commas are accepted unless the
+separator is a comma. Lines that begin with # are comments; `# format:`, `# name:`, `# instrument:` and `# gloss 60:`
+are the package's own.
 """
 
 from __future__ import annotations
@@ -175,9 +175,9 @@ def _require_width(table: Table, header: int, separator: str | None, context: Er
 
 
 def write(path: Path, readings: Readings) -> None:
-    """Write directions in degrees and f in 1/sr, one row per pair; empty cells are not measured.
+    """Write directions in degrees and f in 1/sr, one row per pair; unmeasured values are empty cells.
 
-    Weights and scatter are columns, unless they are those of all readings; other properties are comments.
+    Weights and scatter are columns if they differ between readings; other properties are comments.
     """
     out = io.StringIO()
     out.write(f"# format: {_FORMAT}\n")

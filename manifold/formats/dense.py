@@ -25,7 +25,7 @@ class DenseTable:
             (theta_i, phi_i, theta_o, phi_o).
         axes: the nodes of each angle in radians, increasing.
         wavelengths_nm: band centres in nm, increasing, shape (B,); None for linear sRGB.
-        values: f in 1/sr, one axis per angle and the bands last; NaN is not measured.
+        values: f in 1/sr, one axis per angle and the bands last; NaN marks unmeasured values.
         notes: ambiguities of the file, and how they were read.
     """
 
@@ -39,7 +39,7 @@ class DenseTable:
 
     @cached_property
     def bands(self) -> Bands:
-        """The spectral axis."""
+        """The spectral bands."""
         return Bands.from_array(self.wavelengths_nm)
 
     @property

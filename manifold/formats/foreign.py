@@ -38,7 +38,7 @@ _FOREIGN = (
 # By tags, and by keys at the beginning of a line, in lower case: words of prose say nothing.
 _ZEMAX = r"^\W*(spectralcontent|scattertype|sampleorientation|samplerotation)\b"
 _FOREIGN_PATTERNS = (
-    (r"\A\W*<(!doctype )?html\b", "an HTML page, as failed downloads leave"),
+    (r"\A\W*<(!doctype )?html\b", "an HTML page, probably from a failed download"),
     (r"<(\w+:)?(windowelement|opticsdefinition)\b", "a Radiance / WINDOW BSDF (XML)"),
     (r"\A\W*<iestm27", "a spectrum of a light or a reflectance (.spdx)"),
     (r"\A\W*<\?xml\b", "an XML document"),

@@ -31,7 +31,7 @@ def sniff(head: bytes) -> bool:
 
 
 def read(path: Path) -> list[Readings]:
-    """Read the reflected light at all incidences."""
+    """Read the reflected light at all incidences, as one record."""
     context = ErrorContext(path, _REMEDY)
     lines = data_lines(read_lines(path), marks=())
     context.require_rows(lines)
@@ -66,7 +66,7 @@ def read(path: Path) -> list[Readings]:
 def write(path: Path, table: DenseTable) -> None:
     """Write a table of incident and outgoing angles in one band.
 
-    The mirror direction of an isotropic sample lies at azimuth 0; others are written in their own azimuths.
+    The mirror direction of an isotropic sample is written at azimuth 0; anisotropic samples keep their own azimuths.
     """
     theta_i, phi_i, theta_o, phi_o = (np.rad2deg(axis) for axis in table.axes)
     shift = 180.0 - phi_i[0] if phi_i.size == 1 else 0.0

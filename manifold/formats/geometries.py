@@ -1,8 +1,8 @@
-"""Directions of readings: by their angles, or by the name of a geometry.
+"""Converts angles, or names of geometries, to the directions of readings.
 
 Names are `45as-15`, `r15as_45`, `45as25az90`, `45asMinus15`, `45/0`; `as15`, `-15°`, `15d`, `-15DP`.
-DP (double path) marks the mean of readings from both sides, which for isotropic specimens equals that of one side,
-SP.
+DP (double path) marks the mean of readings from both sides, which for isotropic specimens equals the reading from one
+side, SP (single path).
 """
 
 from __future__ import annotations
@@ -42,12 +42,10 @@ def directions(
     heads: Mapping[str, str] = MappingProxyType({}),
     where: Callable[[int], str] | None = None,
 ) -> tuple[Mask, Array, Array]:
-    """Return a mask of the rows of reflected light, bool (P,), and their wi and wo, (Q, 3).
+    """Return a mask (P,) of the rows of reflected light, and the wi and wo (Q, 3) of these rows.
 
-    `angles` holds arrays (P,) in radians by `angle_name`, with theta_i and theta_o at least. Assumptions are added
-    to the notes.
-
-    `heads` are the file's headings of the angles, and `where` describes a row, for notes and errors.
+    `angles` holds arrays (P,) in radians by `angle_name`, at least theta_i and theta_o. Assumptions are added to
+    `notes`. For notes and errors, `heads` are the file's headings of the angles, and `where` describes a row.
     """
     keep = np.ones(len(angles["theta_i"]), dtype=bool)
     for key in ("theta_i", "theta_o"):
@@ -84,7 +82,7 @@ def directions(
         phi_i = np.full(len(keep), np.pi)
         if phi_o is None:
             notes.append(
-                Assumption("no azimuths: all directions are taken on the side of the mirror direction")
+                Assumption("no azimuths: all directions are assumed on the side of the mirror direction")
             )
         else:
             seen = heads.get("phi_o", "phi_o")
@@ -139,9 +137,9 @@ class SingleValues(NamedTuple):
     """Rows of one value at one pair of directions and one wavelength, arranged as a table (P, B).
 
     Attributes:
-        first: the first row of every pair, in their order, shape (P,).
-        wavelengths_nm: shape (B,).
-        cell: index of every row in the flat table, shape (n,).
+        first: index of the first row of every direction pair, shape (P,).
+        wavelengths_nm: wavelengths in nm, shape (B,).
+        cell: index of every row in the flattened table, shape (n,).
     """
 
     first: Indices
@@ -149,7 +147,7 @@ class SingleValues(NamedTuple):
     cell: Indices
 
     def table(self, rows: Array) -> Array:
-        """Return values of the rows (n,), means of several, and NaN for missing ones; shape (P, B)."""
+        """Arrange values of the rows (n,) as a table (P, B), with means of repeated values and NaN for missing ones."""
         count = np.bincount(self.cell, minlength=self.first.size * self.wavelengths_nm.size)
         with np.errstate(invalid="ignore"):
             mean = np.bincount(self.cell, rows, len(count)) / count
@@ -157,7 +155,7 @@ class SingleValues(NamedTuple):
 
     @property
     def repeated(self) -> int:
-        """Return the number of rows that repeat the directions and the wavelength of another."""
+        """Return the number of rows with the same directions and wavelength as an earlier row."""
         return len(self.cell) - len(np.unique(self.cell))
 
 
@@ -253,7 +251,7 @@ def resolve(names: Iterable[str], context: ErrorContext, notes: list[str]) -> di
         )
     if alone:
         angles |= {name: (45.0, angle, 0.0) for name, angle in alone.items()}
-        notes.append(Assumption("the file gives only aspecular angles; the light is taken at 45 degrees"))
+        notes.append(Assumption("the file gives only aspecular angles; the light is assumed at 45 degrees"))
     if any(found["kind"][0] in "dD" for name in angles if (found := _PATH.search("".join(name.split())))):
         notes.append("DP, means of two paths from either side: taken as one path, as for isotropic samples")
     return angles

@@ -1,4 +1,4 @@
-"""Readings towards the light: zeros behind the receiver, and bright ones of retro-reflectors or wrong azimuths."""
+"""Detects readings towards the light that are zero behind the receiver, or bright because of wrong azimuths."""
 
 from __future__ import annotations
 
@@ -16,16 +16,15 @@ _NEAR = np.cos(np.deg2rad(12.0))
 _OBLIQUE = np.cos(np.deg2rad([75.0, 20.0]))
 _BRIGHTER = 3.0  # rough paints and papers are 1.4 times as bright towards the light at most
 LEAST_HIDDEN = np.cos(np.deg2rad(14.0))
-"""Cosine of the angle between light and receiver from which instruments look: most of 15 degrees or more."""
+"""Cosine of the smallest angle between light and receiver that is suggested; most instruments need 15 degrees."""
 _MOST_HIDDEN, _BESIDE = np.cos(np.deg2rad([25.0, 45.0]))
 
 
 def hidden(wi: Array, wo: Array, values: Array) -> Mask:
-    """Return a mask of zeros that are no readings, because the receiver blocks the light, bool (P,).
+    """Return a mask (P,) of zeros that are not readings, because the receiver blocks the light.
 
-    The receiver is taken to block the light if, at each incidence, all readings within 25 degrees of the light are
-    zero in all bands, but most readings up to 45 degrees are not. Beside the highlight of a mirror, those would be
-    zero as well.
+    The receiver is assumed to block the light if, at each incidence, all readings within 25 degrees of the light are
+    zero in all bands, but most readings up to 45 degrees are not. For a mirror, those would be zero as well.
     """
     towards_light = np.einsum("pi,pi->p", wi, wo)
     near = np.flatnonzero(towards_light > _BESIDE)
@@ -47,7 +46,7 @@ def hidden(wi: Array, wo: Array, values: Array) -> Mask:
 
 
 def without_hidden(record: Readings | DenseTable) -> Readings | DenseTable:
-    """Return the record without the zeros of `hidden`, and with a note that says so."""
+    """Return the record without the zeros that `hidden` finds, and with a note about them."""
     if isinstance(record, Readings):
         is_hidden = hidden(record.wi, record.wo, record.values)
     elif record.coordinates == "incident-outgoing":
@@ -57,7 +56,8 @@ def without_hidden(record: Readings | DenseTable) -> Readings | DenseTable:
     if not np.any(is_hidden):
         return record
     note = (
-        f"{int(is_hidden.sum())} readings around the light are zero: the receiver hides it; they are left out"
+        f"{int(is_hidden.sum())} readings around the light are zero: the receiver blocks the light; "
+        "they are left out"
     )
     if isinstance(record, Readings):
         return record.select_pairs(~is_hidden).with_note(note)

@@ -1,8 +1,8 @@
 """LightTools text `.bsdf`: blocks of `AOI`, `POI`, `Wavelength`, `TIS` and a table of azimuths x polar angles.
 
-Angles are in degrees about the normal. Synopsys' Mini-Diff writes such files, too. Where the incident direction lies
-relative to azimuth 0 differs between programs. A comment `# incidence at azimuth POI + 90`, as this module writes it,
-decides; without one it is found from the light's shadow or the highlight.
+Angles are in degrees about the normal. Synopsys' Mini-Diff also writes such files. Programs disagree on the azimuth
+of the incident direction. A comment `# incidence at azimuth POI + 90`, which this module writes, determines it;
+without one, it is found from the light's shadow or from the highlight.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _TELLING = 1.6  # factor by which a highlight stands out; retro-reflection has a
 
 
 def sniff(head: bytes) -> bool:
-    """Return whether a file's beginning has LightTools' keys: scatter angles, and incidence as AOI or none yet."""
+    """Return whether a file's beginning has LightTools' keys: scatter angles, and the key AOI or no incidence yet."""
     text = decode(head).lower()
     if not re.search(r"^\s*scatter_?(azimuth|radial)", text, re.MULTILINE):
         return False
@@ -123,14 +123,14 @@ def _stack(
         raise context.error(f"AOI {max(abs(a) for a, _ in incidences):g}, expected 0 to 90 degrees")
     if len(bands) * len(incidences) != len(blocks):
         raise context.error(
-            f"{len(blocks)} blocks, expected one of each of {len(bands)} bands at each of {len(incidences)} "
-            "incidences, with bands given by Wavelength, or by TristimulusValue TrisX, TrisY and TrisZ"
+            f"found {len(blocks)} blocks, expected one for each of {len(bands)} bands at each of {len(incidences)} "
+            "incidences; bands are named by Wavelength, or by TristimulusValue TrisX, TrisY and TrisZ"
         )
     values = np.full((len(incidences), blocks[0].values.size, len(bands)), np.nan)
     for block, label, incidence in zip(blocks, labels, angles, strict=True):
         values[incidences.index(incidence), :, bands.index(label)] = block.values.reshape(-1)
     if np.any(np.isnan(values)):
-        raise context.error("two blocks of the same incidence and band, expected one of each")
+        raise context.error("found two blocks with the same incidence and band, expected one")
     if is_xyz:
         if len(bands) != 3:
             raise context.error(f"{len(bands)} tristimulus values, expected X, Y and Z")
@@ -155,7 +155,7 @@ def _said_azimuth(comments: list[str], notes: list[str]) -> float | None:
     said = next((match for line in comments if (match := _STATEMENT.search(line)) is not None), None)
     if said is None:
         return None
-    notes.append(f"incidence is taken at azimuth POI + {float(said[1]):g}, as a comment says")
+    notes.append(f"incidence is taken at azimuth POI + {float(said[1]):g}, as a comment in the file states")
     return float(said[1])
 
 
@@ -219,8 +219,8 @@ def _peak(
 def write(path: Path, table: DenseTable) -> None:
     """Write blocks of every incidence and wavelength; linear sRGB becomes CIE XYZ.
 
-    Incidence lies at azimuth POI + 90. An isotropic table has POI 0 and is turned from its own azimuth of incidence; in
-    others azimuths are those of the sample.
+    The light is at azimuth POI + 90. An isotropic table has POI 0, and its azimuths are turned accordingly;
+    anisotropic tables keep the azimuths of the sample.
     """
     theta_i, phi_i, theta_o, phi_o = (np.rad2deg(a) for a in table.axes)
     values = np.nan_to_num(table.values)

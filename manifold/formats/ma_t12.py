@@ -1,7 +1,7 @@
-"""Workbooks of multi-angle spectrophotometers such as the X-Rite MA-T12: `.xlsx`, read and written by openpyxl.
+"""Workbooks (`.xlsx`) of multi-angle spectrophotometers such as the X-Rite MA-T12.
 
-Sheets `Color Data`, `Texture Data`, `Spectral Data`, `Texture Images`. `Spectral Data` has titles above a header
-`Name`, `Date/Time`, `Geometry`, `400` ... `700`, then a row per geometry. Values are reflectance factors.
+The sheets are `Color Data`, `Texture Data`, `Spectral Data` and `Texture Images`. `Spectral Data` has titles above a
+header `Name`, `Date/Time`, `Geometry`, `400` ... `700`, then a row per geometry. Values are reflectance factors.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _MOST_CELLS = 2_000_000  # cells of all sheets: openpyxl makes all up to the las
 
 
 def sniff(head: bytes) -> bool:
-    """Return whether a file may be a workbook: a ZIP archive; its parts are checked when it is read."""
+    """Return whether a file is a ZIP archive, as workbooks are; `read` checks its parts."""
     return head.startswith(b"PK\x03\x04")
 
 
@@ -138,7 +138,9 @@ def _xml_parts(data: bytes, context: ErrorContext) -> io.BytesIO:
                     remedy="name another file",
                 )
             if len(parts) > _MOST_PARTS:
-                raise context.error(f"{len(parts)} parts, expected a spectrophotometer's workbook of fewer")
+                raise context.error(
+                    f"the archive has {len(parts)} parts, expected at most {_MOST_PARTS} in an instrument's workbook"
+                )
             is_xml = [read_part(archive, part, _HEAD).lstrip(_BEFORE_XML).startswith(b"<") for part in parts]
             unpacked = sum(part.file_size for part in compress(parts, is_xml))
             if unpacked > _LARGEST_SHEETS:
@@ -294,7 +296,7 @@ def _head_and_caption(rows: Sequence[Sequence[Cell]], picture: SheetPicture) -> 
 
 
 def write(path: Path, readings: Readings) -> None:
-    """Write a workbook in the layout of an MA-T12's; its values are reflectance factors.
+    """Write a workbook in the layout of an MA-T12, with values as reflectance factors.
 
     Readings must be at the 12 geometries of `geometry_ma_t12`, in that order. Their texture has the form that
     `read` returns.

@@ -1,10 +1,11 @@
 """MBSDF files of NVIDIA's Material Definition Language, `.mbsdf`: isotropic tables over elevations and an azimuth.
 
-A line `NVIDIA ARC MBSDF V1`, lines `name="value"` of metadata, a line `MBSDF_DATA_REFLECTION=` or `MBSDF_DATA=`, then
-uint32 kind (0 one band, 1 linear RGB), count of elevations n and of azimuths m, and n x n x m values of f in 1/sr in
-float32, elevation in first and azimuth fastest, all little-endian. A block `MBSDF_DATA_TRANSMISSION=` may follow.
-Elevations range from 0 to 90 degrees, azimuths between both directions from 0 to 180. Values lie at the centres of even
-cells, where textures have them, as which the SDK's CUDA code reads them, and where its sampling has them.
+A file has a line `NVIDIA ARC MBSDF V1`, lines `name="value"` of metadata, a line `MBSDF_DATA_REFLECTION=` or
+`MBSDF_DATA=`, then uint32 kind (0 one band, 1 linear RGB), count of elevations n and of azimuths m, and n x n x m
+values of f in 1/sr in float32, elevation in first and azimuth fastest, all little-endian. A block
+`MBSDF_DATA_TRANSMISSION=` may follow. Elevations range from 0 to 90 degrees, azimuths between both directions from 0
+to 180. Values lie at the centres of equal cells, as in textures, which agrees with the SDK's CUDA code and its
+sampling.
 
 Source: MDL specification, appendix on MBSDF; NVIDIA/MDL-SDK, i_bsdf_measurement.cpp and ibsdf_isotropic_data.h.
 """
@@ -23,7 +24,7 @@ from manifold.formats.dense import DenseTable
 from manifold.formats.text import ErrorContext, read_bytes
 
 SHAPE = (45, 45, 90)
-"""Elevations of both directions, and azimuths, of written tables: two degrees each."""
+"""Numbers of elevations of both directions and of azimuths in written tables, in steps of two degrees."""
 
 _MAGIC = b"NVIDIA ARC MBSDF V1\n"
 _REFLECTION, _EITHER, _TRANSMISSION = (
@@ -39,7 +40,7 @@ _ONE_BAND_NM = 550.0
 
 
 def axes(shape: tuple[int, int, int] | None = None) -> tuple[Array, Array, Array, Array]:
-    """Return theta_i (N,), phi_i (1,), theta_o (N,) and phi_o (2 M,) of the nodes in radians, and of mirrored ones.
+    """Return theta_i (N,), phi_i (1,), theta_o (N,) and phi_o (2 M,) of the nodes and mirrored nodes in radians.
 
     N and M are the first and the last of `shape`, by default of `SHAPE`.
     """
@@ -55,7 +56,7 @@ def sniff(head: bytes) -> bool:
 
 
 def read(path: Path) -> list[DenseTable]:
-    """Read the reflection; that of one band as 550 nm."""
+    """Read the reflection; a single band is taken as 550 nm."""
     context = ErrorContext(path, "export the file again")
     data = read_bytes(path, _MOST)
     starts = {

@@ -1,7 +1,8 @@
 """MERL files, `.binary`: 90 x 90 x 180 values of R, G and B over half and difference angles.
 
-int32 90, 90, 180, then planes of R, G, B in float64; theta_h = (i / 90)^2 * 90 degrees, theta_d and phi_d even;
-values times 1 / 1500, 1.15 / 1500, 1.66 / 1500 are f in 1/sr; negative ones are not measured.
+A file has int32 90, 90, 180, then planes of R, G, B in float64. theta_h = (i / 90)^2 * 90 degrees; theta_d and phi_d
+are evenly spaced. Values times 1 / 1500, 1.15 / 1500 and 1.66 / 1500 are f in 1/sr; negative values mark unmeasured
+nodes.
 
 Source: Matusik et al. 2003, BRDFRead.cpp.
 """

@@ -1,6 +1,7 @@
 """BRDF look-up tables of ASAM OpenMATERIAL 3D, `.xompt`: JSON rows of wavelength, theta_i, theta_o, phi_o and BRDF.
 
-Metres, radians and 1/sr; phi_o counts from the azimuth of the light, so that the mirror direction lies at pi.
+Wavelengths are in metres, angles in radians, values in 1/sr. phi_o is relative to the azimuth of the light, so that
+the mirror direction lies at pi.
 
 Source: ASAM OpenMATERIAL 3D 1.0, material_brdf_schema.json.
 """
@@ -58,7 +59,7 @@ def read(path: Path) -> list[Readings]:
     notes: list[str] = []
     angles = dict(zip(("theta_i", "theta_o", RELATIVE), table[cells.first, 1:4].T, strict=True))
     if exceed_radians(angles):
-        raise context.error("angles beyond a full turn, as in degrees, expected radians")
+        raise context.error("angles beyond a full turn, probably degrees, expected radians")
     kept, wi, wo = directions(angles, context, notes)
     values = cells.table(table[:, 4])[kept]
     return [
@@ -90,11 +91,10 @@ def _table(rows: Any, context: ErrorContext) -> Array:
 
 
 def write(path: Path, table: DenseTable) -> None:
-    """Write the look-up table of an isotropic sample, in wavelengths.
+    """Write the look-up table of an isotropic sample with spectral bands.
 
-    Its axes are incident and outgoing angles; the light is at 180 degrees.
-
-    The fields on the owner and the licence of the data are left empty.
+    The table's axes are incident and outgoing angles, with the light at azimuth 180 degrees. The fields for the owner
+    and the licence of the data are left empty.
     """
     theta_i, _, theta_o, phi_o = table.axes
     wavelengths = [float(f"{1e-9 * nm:.9g}") for nm in table.bands.wavelengths_nm or ()]

@@ -1,6 +1,7 @@
 """Text files of pab-opto goniophotometers: one file per incidence, rows `theta phi value` in degrees.
 
-`#incident_angle theta phi`, or `#intheta` and `#inphi`; `#format: theta phi DSF` or `BSDF`, DSF = BSDF cos(theta_o).
+Comments give the incidence (`#incident_angle theta phi`, or `#intheta` and `#inphi`) and the quantity
+(`#format: theta phi DSF` or `BSDF`, with DSF = BSDF cos(theta_o)).
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ def read(path: Path) -> list[Readings]:
     if not np.all(above):
         notes.append(f"{int((~above).sum())} rows at or below the horizon are left out")
     if not np.any(above):
-        raise context.error("nothing but transmitted light, expected rows on the side of incidence")
+        raise context.error("only transmitted light, expected rows on the side of incidence")
     theta, phi, values = theta[above], phi[above], values[above]
     wi = np.tile(from_spherical(np.deg2rad(theta_i), np.deg2rad(phi_i)), (len(values), 1))
     wo = from_spherical(theta, phi)

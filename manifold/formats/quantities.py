@@ -1,7 +1,6 @@
-"""Quantities named by the words of heads and headers: of tables of BRDFs, and of spectra.
+"""Finds the quantity that the headings of BRDF tables and of spectra name.
 
-Only this module turns words into a quantity. It refuses words that it does not understand; they never mean the
-default.
+Words that this module does not understand raise an error; they never mean the default.
 
 Sources: ASTM E1392 and E2387 (BRDF, cosine-corrected BSDF), CIE S 017 (reflectance factor, radiance factor, radiance
 coefficient), Hapke 1993, chapter 10 (I/F and REFF).
@@ -20,18 +19,18 @@ from manifold.core.records import Array
 from manifold.formats.text import ErrorContext
 
 LEAST_COSINE = 1e-3
-"""Smallest cosine with the normal of a direction whose value over its cosine says anything."""
+"""Smallest cosine with the normal by which a value may be divided."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """The conversion of values into a BRDF: f = scale * value / cosines; logarithms are undone first.
+    """A quantity and its conversion into a BRDF: f = scale * value / cosines, after undoing a logarithm.
 
     Attributes:
         title: name of the quantity, in the plural.
         scale: f in 1/sr for a value of 1 at cosines of 1.
         cosines: angles whose cosines the values include: `i`, `o` or both.
-        base: base of the logarithm of the values; 0 if they are no logarithms.
+        base: base of the logarithm of the values; 0 if they are not logarithms.
     """
 
     title: str
@@ -40,7 +39,7 @@ class Quantity:
     base: float = 0.0
 
     def brdf(self, values: Array, wi: Array, wo: Array, white: float = 1.0) -> Array:
-        """Return f in 1/sr, shape (P, B), of values (P, B) at wi and wo (P, 3); NaN where a cosine is 0.
+        """Convert values (P, B) at wi and wo (P, 3) to f in 1/sr, shape (P, B); NaN where a cosine is 0.
 
         `white` is the value that stands for 1 in the unit of the values, such as 100 for percent.
         """
@@ -66,7 +65,7 @@ FACTORS = Quantity("reflectance factors", 1.0 / np.pi)
 I_OVER_F = Quantity("I/F (radiance factors of planetary photometry)", 1.0 / np.pi, "i")
 
 KNOWN = "BRDF, cosine-corrected BRDF, reflectance factor, I/F or log10(BRDF)"
-"""The quantities that tables may hold, for errors."""
+"""Text for error messages that lists the supported quantities."""
 
 # Of whole phrases as `phrase` returns them.
 _F = r"(brdf|bsdf|f|f r|fr|bidirectional (reflectance|scatter|scattering) distribution function)"
@@ -122,7 +121,7 @@ def plain(text: str) -> str:
 
 
 def phrase(text: str) -> str:
-    """Return the words of a `plain` text in order, without those that say nothing of the quantity."""
+    """Return the words of a `plain` text in order, without words that do not affect the quantity."""
     words = re.findall(r"[^\W\d_]+|\d+", text)
     return " ".join(_SYNONYMS.get(word, word) for word in words if word not in _FILLERS)
 
@@ -149,7 +148,7 @@ def quantity_of(words: str) -> Quantity | None:
 def quantity_in_prose(
     text: str, what: str, context: ErrorContext, where: str | None = None
 ) -> Quantity | None:
-    """Return the quantity that a text such as `Reflectance factor of a plate` names; None if no word speaks of one.
+    """Return the quantity that a text such as `Reflectance factor of a plate` names; None if it names none.
 
     Raises:
         FileFormatError: the words name an unsupported quantity, or several; `what` names the text in the message.

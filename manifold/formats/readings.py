@@ -29,10 +29,10 @@ MA_T12_NAMES = tuple(f"{anchor}as{aspecular}" for anchor, aspecular in _MA_T12)
 """The 12 geometries of an MA-T12, in the order of `geometry_ma_t12`."""
 
 UNITS = {"brdf": 1.0, "factor": 1.0 / np.pi, "percent": 0.01 / np.pi}
-"""Units of values in tables, in 1/sr: the BRDF, reflectance factors, and these in per cent."""
+"""Factors, in 1/sr, that convert values in tables to the BRDF: from the BRDF, reflectance factors, or percent."""
 
 NO_UNIT = "no unit given"
-"""How a note on an assumed unit begins."""
+"""Beginning of a note on an assumed unit."""
 
 _CONTRADICTION = 0.1  # scatter of repeated readings that is noted
 
@@ -114,7 +114,7 @@ class Readings:
         gloss: gloss units of a gloss meter (ISO 2813) by its angle in degrees: 20, 60 or 85.
         repeatability: relative standard deviation of a value that is read again, or, for the mean of several
             measurements, measured again.
-        assumed_unit: one of `UNITS` if the file states no unit and this unit was assumed; else None.
+        assumed_unit: one of `UNITS` if the file states no unit and this one was assumed; otherwise None.
         between: how much several measurements of the specimen differ; None for a single one.
         viewing: light and observer of printed CIELAB values, or, for linear sRGB, to which the colours are
             relative.
@@ -142,7 +142,7 @@ class Readings:
 
     @property
     def bands_in_words(self) -> str:
-        """Return the bands, and from how many their spectra were estimated."""
+        """Return a text that names the bands, and from how many bands the spectra were estimated."""
         if self.estimated_from is None:
             return str(self.bands)
         return f"{self.estimated_from} bands, estimated at {str(self.bands).replace(' bands', '')}"
@@ -246,7 +246,7 @@ class Readings:
         """Return the readings with a light and observer that the user states; unchanged for None.
 
         Raises:
-            UsageError: the file states other ones.
+            UsageError: the file states another light or observer.
         """
         if viewing is None or viewing == self.viewing:
             return self
@@ -273,9 +273,9 @@ def geometry_ma_t12() -> tuple[Array, Array]:
 def aspecular_pair(anchor_deg: float, aspecular_deg: float, azimuth_deg: float = 0.0) -> tuple[Array, Array]:
     """Return directions wi (3,) and wo (3,) from an anchor leg and an aspecular angle in degrees.
 
-    The aspecular angle is counted from the mirror direction towards the normal, in the plane of incidence (azimuth 0 or
-    180), or about the mirror direction by an azimuth whose 180 degrees point to the normal, as X-Rite's does: its
-    `45as60az125.3` and `15as46.9az104.5` are one detector, 45 degrees from the normal and across the plane.
+    The aspecular angle is counted from the mirror direction towards the normal. The azimuth turns it about the mirror
+    direction and is 180 degrees towards the normal, as in X-Rite's names: `45as60az125.3` and `15as46.9az104.5` are
+    the same detector, 45 degrees from the normal and across the plane of incidence.
 
     Source: ASTM E2194, E2539; geometries of the MA98.
 
@@ -293,7 +293,7 @@ def aspecular_pair(anchor_deg: float, aspecular_deg: float, azimuth_deg: float =
 
 
 def gloss_fault(angle_deg: float, units: float) -> str | None:
-    """Describe the fault of gloss units at an angle, or return None."""
+    """Return a text that says what is wrong with a gloss value at an angle; None if nothing is."""
     if angle_deg not in MOST_GLOSS:
         return f"gloss at {angle_deg:g} degrees, expected 20, 60 or 85 (ISO 2813)"
     most = MOST_GLOSS[angle_deg]

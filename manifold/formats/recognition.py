@@ -1,6 +1,7 @@
-"""Recognition of the kind of a path, by which commands and workflows open it.
+"""Recognises the kind of a file or folder, which determines how commands open it.
 
-Words that users write may also name a material of a library or a place on a map: see `estimate.sources.parse_source`.
+A text that a user gives may also name a material of a library or a place on a map; see
+`estimate.sources.parse_source`.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ _FIT_HEAD = b'{\n  "format": "manifold fit"'
 
 
 class Kind(StrEnum):
-    """Kinds of paths, in words."""
+    """The kinds of paths; the values are texts for messages."""
 
     NOTHING = "no file or folder"
     LIBRARY = "a library"
@@ -38,7 +39,7 @@ class Kind(StrEnum):
 
 
 def kind_of(path: Path) -> Kind:
-    """Return the kind of a path by its content, by its name only if the content does not tell."""
+    """Return the kind of a path from its content or, if the content does not determine it, from its name."""
     if is_library(path):
         return Kind.LIBRARY
     if not os.path.exists(path):
@@ -64,12 +65,12 @@ def is_library(path: Path) -> bool:
 
 
 def is_rgl(path: Path) -> bool:
-    """Return whether a file is an RGL file, compressed by gzip or not, or is named like one, whatever it holds."""
+    """Return whether a file is an RGL file, compressed by gzip or not, or has the name of one, whatever its content."""
     return path.name.endswith(_RGL_SUFFIXES) or is_tensor_file(path)
 
 
 def is_fit(path: Path) -> bool:
-    """Return whether a file is the JSON of a fit, or is named like one."""
+    """Return whether a file is the JSON of a fit, or has the name of one."""
     return path.name.endswith(FIT_SUFFIX) or begins_with(path, _FIT_HEAD)
 
 
@@ -77,7 +78,7 @@ _ENGINE_SUFFIXES = (".glb", ".mtlx", ".usda")
 
 
 def read_export(path: Path) -> dict[str, Any] | None:
-    """Return the content of a JSON file that `export` wrote for an engine; None for other files."""
+    """Return the content of a JSON file that `manifold export` wrote; None for other files."""
     if path.suffix.lower() != ".json" or is_fit(path) or not os.path.isfile(path):
         return None
     try:
@@ -89,22 +90,22 @@ def read_export(path: Path) -> dict[str, Any] | None:
 
 
 def require_no_export(path: Path) -> None:
-    """Raise UsageError for a file of an engine, which `export` writes and nothing reads back."""
+    """Raise UsageError for a file that `manifold export` wrote for an engine, because it cannot be read back."""
     if path.suffix.lower() not in _ENGINE_SUFFIXES and read_export(path) is None:
         return
     raise UsageError(
-        f"{path}: a file for engines, which is not read back, expected its material; compare both by "
+        f"{path}: a file for engines, which cannot be read back, expected its material; compare both by "
         "`manifold export MATERIAL --target NAME --picture`"
     )
 
 
 def is_rendered(path: Path) -> bool:
-    """Return whether a file is rendered as it is: an RGL file or a fit."""
+    """Return whether a file can be rendered directly, because it is an RGL file or a fit."""
     return is_rgl(path) or is_fit(path)
 
 
 def is_readings(path: Path) -> bool:
-    """Return whether a file's content is an instrument's; texts that describe files beside them may look like it."""
+    """Return whether a file looks like an instrument's file; other text files may look like one as well."""
     from manifold.formats import registry  # what only asks for RGL files does without
 
     return path.suffix != ".md" and os.path.isfile(path) and registry.identify(path) is not None

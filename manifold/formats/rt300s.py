@@ -1,7 +1,8 @@
 """Workbooks `.xls` of the RT-300S (J&C): a column per measurement, with rows Azimuth, Incidence, Receive, RT.
 
-Degrees. Light comes from azimuth 180; the receiver's plane has the azimuth 90 + Azimuth, and Receive is the signed
-angle from the normal in it. RT is the reflected intensity relative to a perfect diffuser at its normal, one band.
+Angles are in degrees. Light comes from azimuth 180; the receiver's plane has the azimuth 90 + Azimuth, and Receive is
+the signed angle from the normal in this plane. RT is the reflected intensity relative to a perfect diffuser seen
+along its normal, in one band.
 
 Source: the processing of such files in ua-loft/bsdf-tools (University of Arizona): f = RT / (pi cos Receive).
 """
@@ -30,12 +31,12 @@ _NOISE = -1.0  # least value of RT, which is at most 1 for a perfect diffuser
 
 
 def sniff(head: bytes) -> bool:
-    """Return whether a file may be such a workbook: an old Office file; its rows are checked when it is read."""
+    """Return whether a file is an old Office file, as these workbooks are; `read` checks its rows."""
     return head.startswith(b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")
 
 
 def read(path: Path) -> list[Readings]:
-    """Read the readings of all sheets."""
+    """Read the readings of all sheets, one record per specimen."""
     context = ErrorContext(path, _REMEDY)
     table = _table(path, context)
     azimuth, incidence, receive = np.deg2rad(table[:3])

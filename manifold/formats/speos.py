@@ -1,8 +1,9 @@
 """Text files of Ansys Speos: `.brdf`, a table per incidence and wavelength, and `.anisotropicbsdf`, one per incidence.
 
-Degrees; outgoing angles about the normal, the mirror direction at azimuth 0. The anisotropy angle turns the direction
-in which light travels along the surface into the sample's x axis. Tables are relative, scaled by percentages of
-reflected light: a `.brdf` has one for each, an `.anisotropicbsdf` a spectrum at one incidence, which scales all.
+Angles are in degrees, outgoing angles about the normal, with the mirror direction at azimuth 0. The anisotropy angle
+is the azimuth from the direction in which light travels along the surface to the sample's x axis. Tables are
+relative; percentages of reflected light scale them. A `.brdf` has one percentage per table, an `.anisotropicbsdf` one
+spectrum at one incidence, which scales all tables.
 
 Source: Ansys Speos, Labs user's guide, "Structure of BRDF files", "Structure of Anisotropic BSDF files".
 """
@@ -139,7 +140,7 @@ def _spectrum(words: Words) -> tuple[Array, Array, Array]:
     count = words.count("wavelengths")
     nm, percent = words.numbers(2 * count, "wavelengths and percentages").reshape(-1, 2).T
     if np.any(np.diff(nm) <= 0.0):
-        raise words.context.error("wavelengths do not increase, expected them ordered", words.line)
+        raise words.context.error("wavelengths do not increase, expected increasing ones", words.line)
     return at, nm, percent
 
 
@@ -192,7 +193,7 @@ def _readings(context: ErrorContext, nm: Array, blocks: list[_Block], notes: lis
 
 
 def write(path: Path, table: DenseTable) -> None:
-    """Write a `.brdf` of an isotropic sample in wavelengths, by incident and outgoing angles, light at 180 degrees."""
+    """Write a `.brdf` of an isotropic spectral table of incident and outgoing angles, with light at 180 degrees."""
     theta_i, _, theta, phi = (np.rad2deg(axis) for axis in table.axes)
     nm = table.bands.wavelengths_nm or ()
     lines = [
@@ -206,7 +207,7 @@ def write(path: Path, table: DenseTable) -> None:
 
 
 def write_anisotropic(path: Path, table: DenseTable) -> None:
-    """Write an `.anisotropicbsdf` of one band, isotropic or not; azimuths of light are among the outgoing ones."""
+    """Write an `.anisotropicbsdf` of one band; the incident azimuths must be among the outgoing ones."""
     theta_i, phi_i, theta, phi = (np.rad2deg(axis) for axis in table.axes)
     turns = np.mod(180.0 - phi_i, 360.0)
     blocks, order = [], np.argsort(turns)

@@ -1,8 +1,9 @@
-"""Tables of readings: cells of workbooks and CSV files, the columns that a header names, and the readings below it.
+"""Reads tables of readings from the cells of workbooks and CSV files.
 
-Two layouts are read: a row per pair of directions (columns theta_i, phi_i, theta_o, phi_o), as goniometers have it; and
-a row per geometry (a column of names such as 45as15), as multi-angle spectrophotometers have it. Bands are columns.
-Tables with a row per value beside its wavelength, or a row per wavelength below names of geometries, are rearranged.
+Two layouts are read: one row per direction pair (columns theta_i, phi_i, theta_o, phi_o), as in files of goniometers,
+and one row per geometry (a column of names such as 45as15), as in files of multi-angle spectrophotometers; bands are
+columns. Tables with one row per value and wavelength, or with one row per wavelength and geometries as columns, are
+rearranged.
 """
 
 from __future__ import annotations
@@ -71,9 +72,9 @@ from manifold.formats.values import (
 
 Cell = str | float | int | None
 HEADERS = "'Name, Geometry, 400, 410' or 'theta_i (deg), phi_i (deg), theta_o (deg), phi_o (deg), 465nm'"
-"""The headers of tables that are read, for errors."""
+"""Text for error messages that shows the supported headers."""
 NEW_HEADER = f"give the table a header such as {HEADERS}"
-"""What to do about a header that is not understood."""
+"""Text for error messages that tells how to replace a header that is not understood."""
 WEIGHT_HEAD, SCATTER_HEAD = "weight", "scatter of cube roots"
 """Heads of the columns of `Readings.weights` and `Readings.scatter`."""
 
@@ -90,7 +91,7 @@ class Table:
 
     Attributes:
         sheet: title of the workbook's sheet; its rows end at their last cell that is not empty. None for CSV files.
-        place: where a row and column stood before they were rearranged; None where they were not.
+        place: function that returns where a row and column were before the table was rearranged; None if it was not.
     """
 
     rows: Sequence[Sequence[Cell]]
@@ -115,17 +116,17 @@ class Columns:
     """The columns that a header names.
 
     Attributes:
-        heads: all its cells.
-        angles: columns by what `angle_name` calls them, in a table of directions.
+        heads: all cells of the header.
+        angles: columns of angles, by the names of `angle_name`, in a table of directions.
         geometry: the column of geometries' names, or None in a table of directions.
         bands: columns of values.
         name: the column of samples' names, if there is one.
         gloss: columns of gloss, with its angle in degrees.
         comments: lines of the file that may name a wavelength.
-        viewing: of CIELAB values, which are linear sRGB relative to it in these columns; None of other values.
-        kind: what the file says of its values elsewhere than in heads; None where it says nothing.
+        viewing: light and observer of CIELAB values, which are converted to linear sRGB; None for other values.
+        kind: quantity that the file states outside the header; None if it states none.
         uncertainties: columns of uncertainties.
-        own: columns of weights and scatter, as the package writes them, by head.
+        own: columns of weights and scatter, as this package writes them, by heading.
     """
 
     row: int
@@ -156,7 +157,7 @@ class Columns:
 
     @property
     def key(self) -> list[int]:
-        """The columns that say where a row was measured."""
+        """The columns that determine the geometry of a row."""
         return [self.geometry] if self.geometry is not None else list(self.angles.values())
 
 
@@ -182,7 +183,7 @@ def text_of(cell: Cell) -> str:
 
 
 def names_directions(heads: Sequence[str]) -> bool:
-    """Return whether cells are the header of a table of directions: both elevations are named."""
+    """Return whether cells are the header of a table of directions, which names both elevations."""
     return {"theta_i", "theta_o"} <= set(angle_names(heads))
 
 
@@ -410,7 +411,7 @@ def _geometry_columns(
         is_lost = k < max(bands) and k != geometry and k not in gloss
         if k not in bands and heads[k] and (is_lost or number(heads[k]) is not None):
             raise context.error(
-                f"found '{heads[k][:24]}' among wavelengths, expected nm",
+                f"found '{heads[k][:24]}' among wavelengths, expected a number in nm",
                 table.where(index, k),
                 remedy=NEW_HEADER,
             )
@@ -457,9 +458,9 @@ def _lights_in_columns(table: Table, columns: Columns, context: ErrorContext) ->
 def read_table(
     table: Table, columns: Columns, context: ErrorContext, name: str, instrument: str
 ) -> list[Readings]:
-    """Read every sample below a header, in the table's order; texts that are numbers count as numbers.
+    """Read every sample below a header, in the table's order; texts that are numbers are read as numbers.
 
-    The name is that of the sample where the table has no column of names.
+    `name` is the name of the sample if the table has no column of names.
     """
     _require_nothing_above(table, columns, context)
     columns = columns.seen_under(_lights_in_columns(table, columns, context))
@@ -770,7 +771,7 @@ def _doubtful(rows: list[str], heads: list[str], wi: Array, wo: Array, values: A
 
 
 def in_one_unit(found: Sequence[Readings]) -> list[Readings]:
-    """Give the readings of one file's tables one unit: percent if any of them must be."""
+    """Give the readings of all tables of a file the same assumed unit: percent if any of them must be percent."""
     if not any(TAKEN_AS_PERCENT in one.notes for one in found):
         return list(found)
     return [

@@ -1,4 +1,4 @@
-r"""Tensor files: named arrays in one file, mapped when read, byte for byte the same when written.
+r"""Reads and writes tensor files, which hold named arrays.
 
     12 bytes "tensor_file\0", u8 major = 1, u8 minor = 0, u32 number of fields; per field u16 length of the name,
     name, u16 ndim, u8 dtype, u64 offset in the file, u64 shape[ndim]; then the data. Little-endian throughout.
@@ -70,7 +70,7 @@ def is_compressed(path: Path) -> bool:
 def read_tensors(path: Path | str, content: bytes | None = None) -> dict[str, AnyArray]:
     """Return the fields of any tensor file in its order: read-only views of the file, mapped or decompressed.
 
-    With `content`, the bytes of the file, `path` is only its name in errors.
+    If the bytes of the file are given as `content`, `path` is only used as its name in errors.
 
     A mapped file must not be shortened while the arrays live: the operating system ends a process that reads beyond
     its end. Replacing it by renaming, as `write_tensors` does, is safe.

@@ -18,13 +18,13 @@ from manifold.core.records import Array
 
 _LONGEST_FINDING = 400  # letters
 CORRECT_CELL = "correct the cell"
-"""What to do about one wrong value."""
+"""Text for error messages that says what to do about one wrong value."""
 MOST_ROWS = 5_000_000
 """The largest number of lines of a table."""
 
 
 class ErrorContext:
-    """Errors of one short line that name a file and the place in it; and numbers that are read with such errors."""
+    """Creates one-line errors that name a file and the place in it, and parses numbers with such errors."""
 
     def __init__(self, path: Path, remedy: str) -> None:
         """Take the file's path; `remedy` ends the errors that name no other remedy."""
@@ -84,7 +84,7 @@ class ErrorContext:
 
 
 LARGEST_TEXT = 150_000_000
-"""Bytes of the longest text file that is read: a goniometer's are a hundred times shorter."""
+"""Size in bytes of the longest text file that is read; files of goniometers are a hundred times smaller."""
 
 NUMBER = r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eEdD][+-]?\d+)?"
 """The pattern of a number: with a decimal point or comma, and an exponent, which may be Fortran's."""
@@ -118,9 +118,9 @@ def read_bytes(path: Path, most: int = LARGEST_TEXT) -> bytes:
 
 
 def decode(data: bytes) -> str:
-    r"""Return the text of a file in UTF-8, UTF-16 with its mark, else Latin-1; lines end with \n.
+    r"""Decode a file as UTF-8, as UTF-16 if it has a byte order mark, or else as Latin-1; lines end with \n.
 
-    Minus signs and spaces of typesetters are plain; the mark that ends files of DOS is left out.
+    Typographic minus signs and spaces are replaced by plain ones, and the end-of-file mark of DOS is removed.
     """
     is_utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))  # as spreadsheets write it
     try:
@@ -138,7 +138,7 @@ def read_lines(path: Path) -> list[str]:
 def data_lines(
     lines: list[str], first: int = 1, marks: tuple[str, ...] = ("#", "!")
 ) -> list[tuple[int, str]]:
-    """Return lines that are neither empty nor comments, with their numbers in the file; the first one's is `first`."""
+    """Return the lines that are neither empty nor comments, with their line numbers, which begin at `first`."""
     return [
         (k, line)
         for k, line in enumerate(lines, start=first)
@@ -149,7 +149,7 @@ def data_lines(
 def plain_float(text: str) -> float:
     """Convert a text by Python's rules, or return NaN.
 
-    It is faster than `number`, which decides about texts without a finite number.
+    It is faster than `number`, which must be asked about texts for which this function returns NaN.
     """
     try:
         return float("nan") if "_" in text else float(text)
@@ -200,7 +200,8 @@ def plain_unit(text: str) -> str:
 def wavelength_nm(text: str, unit: str = "") -> float | None:
     """Return the wavelength in nm of a text such as `633 nm`, `0,6328 um`, `6328 A`, `15803 cm-1`; None for others.
 
-    A number without a unit has the given one; without any, it is in micrometres below 100 and in nanometres from there.
+    `unit` is the unit of a number without one. If it is empty, numbers below 100 are in micrometres, others in
+    nanometres.
 
     >>> wavelength_nm("1.55um"), wavelength_nm("0,5"), wavelength_nm("20000", "cm-1"), wavelength_nm("5 eV")
     (1550.0, 500.0, 500.0, None)
@@ -238,7 +239,7 @@ _BLANK_CELLS = re.compile(r'"([^"]*)"|((?:[^\s"(\[]|\s*[(\[][^()\[\]]*[)\]]|[(\[
 def split_cells(line: str, separator: str | None) -> list[str]:
     """Return the cells of a line, without blanks around them and without whole quotes.
 
-    If `separator` is None, runs of blanks separate, with a comma at most, but not those in or before brackets.
+    If `separator` is None, blanks with at most one comma separate the cells, except in or before brackets.
 
     >>> split_cells('red; "50,5" ;60', ";"), split_cells("theta_i (deg)  f [1 / sr]", None)
     (['red', '50,5', '60'], ['theta_i (deg)', 'f [1 / sr]'])

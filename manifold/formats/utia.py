@@ -1,7 +1,7 @@
 """UTIA files, `.bin`: anisotropic BRDFs in linear sRGB at 6 x 48 incident and 6 x 48 outgoing directions.
 
-float64 without a header, index `plane * 288^2 + 288 (48 ti + pi) + 48 tv + pv`; elevations by 15 degrees from 0 to 75,
-azimuths by 7.5.
+A file has float64 values without a header, with index `plane * 288^2 + 288 (48 ti + pi) + 48 tv + pv`; elevations are
+0, 15, ... 75 degrees, azimuths multiples of 7.5 degrees.
 
 Source: Filip & Vavra 2014, "Template-based sampling of anisotropic BRDFs".
 """

@@ -1,4 +1,4 @@
-"""Values of files: their bands or CIE XYZ, and whether they are a BRDF, times the cosine, factors or percent."""
+"""Interprets the values of files: their bands or CIE XYZ, and their quantity and unit."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from manifold.formats.readings import NO_UNIT, Assumption
 from manifold.formats.text import LENGTH_UNIT, ErrorContext, is_length_unit, wavelength_nm
 
 SHORTEST_NM, LONGEST_NM = 100.0, 1e5
-"""The range of wavelengths; values beyond it have another unit."""
+"""The range of wavelengths in nm; numbers outside it must have another unit."""
 
 _NO_UNIT = f"{NO_UNIT} (--unit brdf, factor or percent): "
 _AS_BRDF = _NO_UNIT + "taken as BRDF in 1/sr"
@@ -101,14 +101,14 @@ def _stated(found: re.Match[str], line: str, context: ErrorContext) -> float | N
 def as_brdf(
     values: Array, quantity: Quantity, wi: Array, wo: Array, notes: list[str], white: float = 1.0
 ) -> Array:
-    """Apply `Quantity.brdf`, and add a note of the conversion."""
+    """Apply `Quantity.brdf`, and add a note about the conversion."""
     if (note := quantity.note) is not None:
         notes.append(note)
     return quantity.brdf(values, wi, wo, white)
 
 
 class Assumed(NamedTuple):
-    """The unit in which values without one are taken: one of `readings.UNITS`, its quantity, and the value of white."""
+    """The unit assumed for values without one: a key of `readings.UNITS`, its quantity, and the value of white."""
 
     unit: str
     quantity: Quantity
@@ -119,11 +119,12 @@ class Assumed(NamedTuple):
 def assumed_unit(raw: Sequence[tuple[Array, Array, Array]]) -> Assumed:
     """Choose the unit of values without one: BRDF in 1/sr, reflectance factors, or these in percent.
 
-    Values that would reflect more light than they receive in an eighth of their bands are factors; fewer bands may be
-    saturated. If a single value says so, they stay a BRDF, with a note. Factors are in percent if their mean over bands
-    is too bright as well, or an eighth of their bands by more than fluorescence explains.
+    Values are reflectance factors if, as a BRDF, they would reflect more light than arrives in at least an eighth of
+    the bands; fewer bands may be saturated. If only a single value indicates this, they stay a BRDF, with a note.
+    Factors are in percent if their mean over bands is too bright as well, or an eighth of the bands by more than
+    fluorescence can explain.
 
-    Each of several samples is wi (P, 3), wo (P, 3) and values (P, B) of one file.
+    `raw` holds wi (P, 3), wo (P, 3) and values (P, B) of each sample of one file.
     """
     if not any(is_too_bright(*of_sample) for of_sample in raw):
         few_say_so = any(is_too_bright(*of_sample, fewest=1) for of_sample in raw)
@@ -138,7 +139,7 @@ def assumed_unit(raw: Sequence[tuple[Array, Array, Array]]) -> Assumed:
 
 
 def assumed_factors(raw: Sequence[tuple[Array, Array, Array]]) -> Assumed:
-    """Return reflectance factors, as spectrophotometers have them; in percent if they are too large."""
+    """Return reflectance factors as the assumed unit, or percent if the values are too large."""
     if any(looks_like_percent(*of_sample) for of_sample in raw):
         return Assumed("percent", FACTORS, 100.0, TAKEN_AS_PERCENT)
     return Assumed("factor", FACTORS, 1.0, TAKEN_AS_FACTORS)
@@ -148,9 +149,10 @@ def relative_uncertainties(
     columns: Mapping[str, Array], band_heads: Sequence[str], raw: Array, kind: Quantity, white: float,
     notes: list[str], context: ErrorContext,
 ) -> Array:  # fmt: skip
-    """Return relative standard uncertainties (P, B) of values (P, B) as they stand in a file; NaN if none is given.
+    """Return the relative standard uncertainties (P, B) of a file's raw values (P, B); NaN if none is given.
 
-    Columns of uncertainties (P,) are by their heads, see `column_heads.uncertainty_head`; what is left out is noted.
+    `columns` holds columns of uncertainties (P,) by heading, see `column_heads.uncertainty_head`; unused columns are
+    noted.
     """
     relative = np.full(raw.shape, np.nan)
     nm = [wavelength(head) for head in band_heads]
@@ -183,10 +185,10 @@ class Weights(NamedTuple):
     """The weights and scatter of readings from the uncertainties of their values, see `Readings`.
 
     Attributes:
-        scatter: of cube roots, relative, shape (P,).
-        weights: shape (P,).
-        repeatability: that of the median.
-        note: what was done.
+        scatter: relative standard deviation of the cube roots, shape (P,).
+        weights: weights of the readings, shape (P,).
+        repeatability: median relative standard uncertainty of the values.
+        note: sentence about the conversion.
     """
 
     scatter: Array
@@ -196,12 +198,12 @@ class Weights(NamedTuple):
 
     @property
     def readings(self) -> dict[str, Any]:
-        """Return arguments of `Readings`."""
+        """Return the weights, scatter and repeatability as arguments of `Readings`."""
         return {"scatter": self.scatter, "weights": self.weights, "repeatability": self.repeatability}
 
 
 def weights_of(relative: Array) -> Weights | None:
-    """Return weights of readings with relative standard uncertainties (P, B); None if all are 0 or unknown."""
+    """Return the weights of readings with relative standard uncertainties (P, B); None if all are 0 or unknown."""
     known = np.isfinite(relative)
     count = np.maximum(known.sum(axis=1), 1)
     scatter = np.sqrt(np.where(known, relative, 0.0) ** 2 @ np.ones(relative.shape[1]) / count) / 3.0
@@ -215,7 +217,7 @@ def weights_of(relative: Array) -> Weights | None:
 def bands_of(
     heads: list[str], values: Array, notes: list[str], context: ErrorContext, comments: Iterable[str] = ()
 ) -> tuple[Array | None, Array]:
-    """Return wavelengths in nm, increasing, or None for linear sRGB, and the values (P, B) in their order."""
+    """Return increasing wavelengths in nm, or None for linear sRGB, and the values (P, B) in this order."""
     letters = [channel(head) or "" for head in heads]
     for space in ("rgb", "xyz"):
         if sorted(letters) == sorted(space):
@@ -252,7 +254,8 @@ def is_too_bright(wi: Array, wo: Array, values: Array, fewest: int = 2, most: fl
 def bright_bands(wi: Array, wo: Array, values: Array, fewest: int = 2, most: float = _MOST_BRDF) -> Mask:
     """Return a mask (B,) of bands whose values (P, B) in 1/sr are too large, away from mirror direction and horizon.
 
-    The median of a band decides, or the smallest of fewer than five values. False if there are fewer than `fewest`.
+    A band is judged by its median, or by its smallest value if there are fewer than five; with fewer than `fewest`
+    values it is False.
     """
     is_bright = np.zeros(values.shape[1], dtype=bool)
     for k, band in enumerate(values[_is_diffuse(wi, wo)].T):
@@ -263,7 +266,7 @@ def bright_bands(wi: Array, wo: Array, values: Array, fewest: int = 2, most: flo
 
 
 def too_bright_rows(wi: Array, wo: Array, values: Array) -> Indices:
-    """Return rows of values (P, B) in 1/sr whose mean over bands is too large there, if most rows are darker."""
+    """Return the indices of rows of values (P, B) in 1/sr with too large a mean, if most rows are darker."""
     with np.errstate(invalid="ignore"):
         rows = np.flatnonzero(_is_diffuse(wi, wo) & (np.pi * np.mean(values, axis=1) > _MOST_BRDF))
     return rows if 2 * len(rows) < len(values) else rows[:0]
@@ -299,13 +302,13 @@ def linear_srgb_to_xyz(rgb: Array) -> Array:
 
 
 def converted(xyz: Array, notes: list[str]) -> Array:
-    """Apply `xyz_to_linear_srgb`, and add a note of it."""
+    """Apply `xyz_to_linear_srgb`, and add a note about it."""
     notes.append("CIE XYZ, converted to linear sRGB")
     return xyz_to_linear_srgb(xyz)
 
 
 def unnamed_band(notes: list[str], context: ErrorContext, comments: Iterable[str] = ()) -> Array:
-    """Return the wavelength in nm, shape (1,), of a band without one: a comment's or a green one; and add a note."""
+    """Return the wavelength (1,) in nm that a comment names for a single band, or a green one with a note."""
     named = named_wavelength(comments, context)
     if named is not None:
         notes.append(f"one band, its wavelength is taken from a comment: {named:g} nm")

@@ -1,7 +1,7 @@
-"""Pictures in the workbooks of instruments: read from a sheet, decoded, and written into one.
+"""Reads, decodes and writes pictures in the workbooks of instruments.
 
-openpyxl's own image loader gives Pillow any part of a workbook, see `manifold.core.picture_bytes`. So parts are read
-here as bytes.
+Parts are read as bytes, because openpyxl's own image loader passes any part of a workbook to Pillow, see
+`manifold.core.picture_bytes`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def read_part(archive: zipfile.ZipFile, part: zipfile.ZipInfo, most: int | None 
     """Read a part of a workbook, or its first bytes, and unpack no more than the archive's directory declares.
 
     Raises:
-        zipfile.BadZipFile: the part has another size, or is packed otherwise than by deflation.
+        zipfile.BadZipFile: the part has another size, or another compression than deflate.
     """
     if part.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # others unpack without a limit
         raise zipfile.BadZipFile(f"a part is packed by method {part.compress_type}, expected deflation")
@@ -52,12 +52,12 @@ def pictures_in(
 
     Args:
         data: the workbook.
-        workbook: the same with empty parts for what is not XML.
+        workbook: the same workbook, with empty parts in place of parts that are not XML.
         sheet: title of the sheet.
         unpacked: pictures of the workbook by their parts; those of the sheet are added.
 
     Raises:
-        Exception: whatever openpyxl raises of a damaged workbook.
+        Exception: openpyxl's exception for a damaged workbook.
     """
     import openpyxl
     from openpyxl.drawing.spreadsheet_drawing import SpreadsheetDrawing
@@ -86,10 +86,10 @@ def pictures_in(
 
 
 def picture_values(content: bytes) -> Array:
-    """Decode an instrument's picture to linear sRGB, shape (H, W, 3): its codes are linear.
+    """Decode an instrument's picture, whose values are linear, to linear sRGB, shape (H, W, 3).
 
     Raises:
-        FileFormatError: it is no PNG or JPEG, too large, or damaged; without a file's name, which the caller knows.
+        FileFormatError: the picture is not a PNG or JPEG, too large, or damaged; the message does not name the file.
     """
     try:
         return picture_bytes.decode(content, most_pixels=_MOST_PIXELS) / 255.0
@@ -101,7 +101,7 @@ def add_picture(sheet: Any, cell: str, content: bytes) -> None:
     """Add a picture to a sheet of a workbook that openpyxl writes.
 
     Raises:
-        FileFormatError: it is no PNG or JPEG.
+        FileFormatError: the content is not a PNG or JPEG.
     """
     from openpyxl.drawing.image import Image
 
@@ -111,9 +111,9 @@ def add_picture(sheet: Any, cell: str, content: bytes) -> None:
 
 
 def picture_geometry(caption: str) -> tuple[float, float] | None:
-    """Return the angles of camera and lamp in degrees, or None.
+    """Return the angles of camera and lamp in degrees that a caption names, or None.
 
-    The lamp's is positive on the mirror's side, and NaN for diffuse light.
+    The lamp's angle is positive on the mirror side, and NaN for diffuse light.
 
     >>> picture_geometry("15as-45"), picture_geometry("15as80"), picture_geometry("15d")
     ((15.0, 60.0), (15.0, -65.0), (15.0, nan))
@@ -125,5 +125,5 @@ def picture_geometry(caption: str) -> tuple[float, float] | None:
 
 
 def picture_directions(camera_deg: float, lamp_deg: float) -> tuple[Array, Array]:
-    """Return wi (3,) and wo (3,) of a picture's geometry, those of the reading of its name."""
+    """Return wi (3,) and wo (3,) of a picture's geometry, as for the reading of the same name."""
     return aspecular_pair(camera_deg, camera_deg - lamp_deg)

@@ -131,9 +131,10 @@ def write(
     values: Array,
     rotation: Array | None = None,
 ) -> None:
-    """Write tables of sample rotations, angles in radians, values in 1/sr, (S, T, A, R, B), or (T, A, R, B) of one.
+    """Write tables of values in 1/sr, shape (S, T, A, R, B) for S sample rotations, or (T, A, R, B); angles in radians.
 
-    B = 3 is linear sRGB and becomes CIE XYZ, B = 1 is monochrome. Rotations turn the light as `directions` does.
+    B = 3 is linear sRGB, which is converted to CIE XYZ; B = 1 is monochrome. See `directions` for the sense of
+    rotation.
     """
     turns = np.zeros(1) if rotation is None else rotation
     values = np.nan_to_num(values).reshape(turns.size, *values.shape[-4:])

@@ -1,4 +1,4 @@
-"""New materials on a map of latents: decoded as `T^-1(V T(F))`, and embedded where that fits best."""
+"""Decodes latents as `T^-1(V T(F))`, and finds the latents at which new materials are reproduced best."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from manifold.core.records import Array
 from manifold.gpr import GaussianProcess
 
 Criterion = Callable[[Array, float], tuple[float, Array, float]]
-"""A function of V (n,) and v that returns a value and its derivatives by V (n,) and by v."""
+"""A function of weights V (n,) and variance v that returns a value and its derivatives with respect to V (n,) and v."""
 
 # Relative to a material's root mean square: the slope of smaller cube roots is that of this one.
 _SMALLEST_ROOT = 1e-3
@@ -25,12 +25,12 @@ _ROUNDING = 1e-14  # relative rounding error of squared distances, which are dif
 
 @dataclass(frozen=True, eq=False)
 class Products:
-    """Inner products of a new material and training materials in the mapped domain, all less the mean of the latter.
+    """Inner products of a new material and n training materials in the mapped domain, centred on the training mean.
 
     Attributes:
-        S: among the n materials, shape (n, n).
-        cross: of the new one with them, shape (n,).
-        norm: its squared norm.
+        S: inner products among the training materials, shape (n, n).
+        cross: inner products of the new material with the training materials, shape (n,).
+        norm: squared norm of the new material.
     """
 
     S: Array
@@ -39,7 +39,7 @@ class Products:
 
     @classmethod
     def centred(cls, S: Array, cross: Array, norm: float) -> Products:
-        """Centre products about any origin: S (n, n), cross (n,), norm."""
+        """Centre inner products S (n, n), cross (n,) and norm that refer to any other origin."""
         row_mean, mean, mean_cross = S.mean(axis=1), S.mean(), float(cross.mean())
         return cls(
             S - row_mean[:, None] - row_mean[None] + mean,
@@ -71,11 +71,9 @@ def mapped_residual(products: Products) -> Criterion:
 
 
 def likelihood(products: Products, scale: float) -> Criterion:
-    """Return the criterion `1/2 log v + ||T(f) - V T(F)||^2 / (2 D s^2 v)`.
+    """Return the criterion `1/2 log v + ||T(f) - V T(F)||^2 / (2 D s^2 v)`, with `scale` = D s^2.
 
-    The scale is D s^2, the number of outputs times their variance.
-
-    The residual is relative to the posterior variance, which is then calibrated at the latent found.
+    The residual is divided by the posterior variance v, which is therefore calibrated at the latent found.
 
     Source: Lawrence 2005, section 3.1; Rasmussen & Williams 2006, eq. 5.8.
     """
@@ -114,7 +112,7 @@ PAIR_STRIDE = 6  # one in this many of a grid's direction pairs is used to find 
 def encoding_pairs(is_isotropic: bool = True) -> Pairs:
     """Return the pairs of the default grid at which new materials are compared with predictions, cached and read-only.
 
-    Of materials that are not isotropic, half vectors have all azimuths.
+    For anisotropic materials, the half vectors have all azimuths.
     """
     return RusinkiewiczGrid.named("default").suited_to(is_isotropic).pairs(PAIR_STRIDE)
 
@@ -124,8 +122,8 @@ class Decoder:
     """Maps latents to BRDF values at P outputs: direction pairs of one band, or pairs and bands.
 
     Attributes:
-        mapped: T of the n training samples, shape (n, P).
-        mapping: T.
+        mapped: mapped values of the n training samples, shape (n, P).
+        mapping: the mapping T.
         cosines: cos(theta_i) cos(theta_o) of each output, shape (P,).
     """
 
@@ -147,7 +145,7 @@ class Decoder:
         return nearest, errors[nearest]
 
     def combine(self, V: Array) -> tuple[Array, Array]:
-        """Return values (R, P) of weights V (R, n), possibly negative, and their derivatives by the mapped values."""
+        """Return the values (R, P) for weights V (R, n), possibly negative, and their derivatives by mapped values."""
         values = self.mapping.inverse(V @ self.mapped, self.cosines)
         return values, self.mapping.slope(values, self.cosines)
 
@@ -175,11 +173,11 @@ class Encoder:
     """Finds the latent (Q,) of a new material: minimises a criterion plus `prior / 2 ||x||^2`.
 
     Attributes:
-        gp: of the n training materials.
+        gp: Gaussian process of the n training materials.
         S: Gram matrix of the mapped materials, not centred, shape (n, n).
-        n_outputs: D, outputs behind S.
-        prior: weight of the Gaussian prior on the latent, or one per axis, shape (Q,).
-        fixed_variance: s^2; None is what maximises the likelihood of the training materials.
+        n_outputs: D, the number of outputs from which S was computed.
+        prior: weight of the Gaussian prior on the latent, or one weight per axis, shape (Q,).
+        fixed_variance: s^2; None selects the value that maximises the likelihood of the training materials.
     """
 
     gp: GaussianProcess
@@ -210,21 +208,22 @@ class Encoder:
         return self._best(decoded_error(decoder, f), apart[:_REFINED])
 
     def by_residual(self, cross: Array, norm: float) -> Array:
-        """Return the latent (Q,) of least residual in the mapped domain, by inner products: see `by_likelihood`."""
+        """Return the latent (Q,) with the smallest residual in the mapped domain; arguments as in `by_likelihood`."""
         products = Products.centred(self.S, cross, norm)
         return self._best(mapped_residual(products), self.starts(products))
 
     def by_likelihood(self, cross: Array, norm: float) -> Array:
-        """Return the latent (Q,) of largest likelihood.
+        """Return the latent (Q,) with the largest likelihood.
 
-        It uses inner products (n,) with the samples about the origin of S.
+        `cross` (n,) holds the inner products with the training samples, and `norm` the squared norm, about the origin
+        of S.
         """
         products = Products.centred(self.S, cross, norm)
         return self._best(likelihood(products, self.n_outputs * self.output_variance), self.starts(products))
 
     @cached_property
     def output_variance(self) -> float:
-        """s^2 of the training materials."""
+        """The output variance s^2 of the training materials."""
         if self.fixed_variance is not None:
             return self.fixed_variance
         return max(self.gp.output_variance(self.S, self.n_outputs), np.finfo(float).tiny)

@@ -1,4 +1,4 @@
-"""Gaussian-process regression in the manner of scikit-learn: the process of `manifold.gpr`, with outputs."""
+"""Gaussian-process regression with the interface of scikit-learn."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class GPRegressor(RegressorMixin, BaseEstimator):
     Args:
         mu: noise filter, >= 0.
         length_scale: l > 0, in units of the inputs.
-        kernel: its name, or a class of your own, see `kernel_named`.
+        kernel: name of a kernel, or a class of your own; see `kernel_named`.
 
     Attributes:
         gp_: the `GaussianProcess` of the training inputs.
@@ -78,7 +78,7 @@ class GPRegressor(RegressorMixin, BaseEstimator):
         return np.sqrt(self.output_variance_ * self.gp_.variance(X))
 
     def length_scale_bound(self, X: Array) -> LengthScaleBound:
-        """Return the condition on the length scale at X (M, Q), with its slack (Hikichi & Iwasaki, eq. 15)."""
+        """Return the bound on the length scale at X (M, Q) (Hikichi & Iwasaki, eq. 15)."""
         check_is_fitted(self)
         Y_c = self._centred_outputs()
         return self.gp_.length_scale_bound(validate_data(self, X, reset=False, dtype=np.float64), Y_c @ Y_c.T)

@@ -1,10 +1,10 @@
 """Covariance functions shared by all outputs: a smooth part plus a delta, `c(x, x') = k(x, x') + mu delta(x, x')`.
 
-The delta is 1 where the coordinates are *equal*, in the cross-covariance too. At a training latent the
-cross-covariance is therefore a column of K and the posterior mean is the datum itself; next to it the posterior is
-the smooth one: the mean jumps there, by design. Among the training latents themselves the delta is one of
-*samples*: K = k(X, X) + mu I. The two readings differ only for coinciding latents, where delta by coordinates
-would make K singular.
+The delta is 1 where the coordinates are *equal*, also in the cross-covariance. At a training latent the
+cross-covariance is therefore a column of K, and the posterior mean equals the training sample. Beside the training
+latent the posterior is the smooth one, so the mean jumps there, by design. Among the training latents the delta is 1
+for the same *sample*: K = k(X, X) + mu I. The two definitions differ only for coinciding latents, for which a delta
+of coordinates would make K singular.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Kernel(ABC):
     Attributes:
         mu: noise filter, the height of the delta, >= 0, in units of the signal variance.
         length_scale: l, > 0, in units of the latent coordinates.
-        family: what `kernel_named` calls the radial part.
+        family: name of the radial part for `kernel_named`.
         steepest: largest |dg/dr|.
 
     Source: Rasmussen & Williams 2006, chapter 4; the delta: Hikichi & Iwasaki, eq. 14.
@@ -51,12 +51,12 @@ class Kernel(ABC):
 
     @property
     def name(self) -> str:
-        """Its name as `kernel_named` takes it."""
+        """The kernel's name, as `kernel_named` takes it."""
         return self.family
 
     @property
     def is_compiled(self) -> bool:
-        """Return whether compiled loops know this class; a subclass of another package may differ."""
+        """Return whether the compiled loops support this class; subclasses may differ from it."""
         return type(self) in _COMPILED
 
     @property
@@ -66,9 +66,9 @@ class Kernel(ABC):
 
     @abstractmethod
     def radial(self, squared: Any, xp: Any = np) -> tuple[Any, Any]:
-        """Return g and dg / d r^2 at squared distances in length scales, same shape.
+        """Return g and dg / d r^2 at squared distances in length scales, in the same shape.
 
-        `xp` is the array library, with `exp` and `sqrt`.
+        `xp` is the array library that provides `exp` and `sqrt`.
         """
 
     def smooth(self, A: Array, B: Array) -> Array:
@@ -76,12 +76,12 @@ class Kernel(ABC):
         return self.smooth_and_slope(A, B)[0]
 
     def smooth_and_slope(self, A: Array, B: Array) -> tuple[Array, Array]:
-        """Return `smooth(A, B)`, and its slope as `pull_back` takes it, shape (M, N) both."""
+        """Return `smooth(A, B)`, and the slope that `pull_back` takes, both of shape (M, N)."""
         return self.radial(squared_distances(A, B) / self.length_scale**2)
 
     @property
     def prior_variance(self) -> float:
-        """Variance of the prior, the delta included."""
+        """The variance of the prior, including the delta."""
         return 1.0 + self.mu
 
     def training(self, X: Array) -> Array:
@@ -89,7 +89,7 @@ class Kernel(ABC):
         return self.training_and_slope(X)[0]
 
     def training_and_slope(self, X: Array) -> tuple[Array, Array]:
-        """Return `training(X)`, and its slope as `gradient` takes it, shape (N, N) both."""
+        """Return `training(X)`, and the slope that `gradient` takes, both of shape (N, N)."""
         K, slope = self.smooth_and_slope(X, X)
         K.flat[:: len(K) + 1] = self.prior_variance
         return K, slope
@@ -97,7 +97,7 @@ class Kernel(ABC):
     def pull_back(self, A: Array, B: Array, dK: Array, slope: Array | None = None) -> Array:
         """Return the gradient by A (M, Q) of `sum(dK * smooth(A, B))` for fixed B (N, Q) and dK (M, N), shape (M, Q).
 
-        The slope (M, N) is that of `smooth_and_slope(A, B)`, computed if None.
+        `slope` (M, N) is the slope of `smooth_and_slope(A, B)`; None computes it.
         """
         slope = self.smooth_and_slope(A, B)[1] if slope is None else slope
         G = (2.0 / self.length_scale**2) * dK * slope
@@ -106,7 +106,8 @@ class Kernel(ABC):
     def gradient(self, X: Array, dK: Array, slope: Array | None = None) -> Array:
         """Return the gradient with respect to X (N, Q) of a function of K = `training(X)`, shape (N, Q).
 
-        Its derivatives dK (N, N) are symmetric; the slope (N, N) is that of `training_and_slope(X)`, computed if None.
+        dK (N, N) holds the symmetric derivatives of the function with respect to K. `slope` (N, N) is the slope of
+        `training_and_slope(X)`; None computes it.
         """
         return 2.0 * self.pull_back(X, X, dK, slope)
 
@@ -152,7 +153,7 @@ _COMPILED = (SquaredExponential, Matern32, Matern52)  # in the order of `radial_
 
 
 def kernel_named(name: str | type[Kernel], mu: float = DEFAULT_MU, length_scale: float = 1.0) -> Kernel:
-    """Return a kernel by its name in `KERNELS`, or of a class of your own with `family`, `steepest` and `radial`.
+    """Return a kernel, given its name in `KERNELS`, or a class of your own with `family`, `steepest` and `radial`.
 
     >>> kernel_named("se", mu=1e-4).smooth(np.array([[0.0]]), np.array([[0.0], [1.0]])).round(3)
     array([[1.   , 0.607]])
@@ -163,7 +164,7 @@ def kernel_named(name: str | type[Kernel], mu: float = DEFAULT_MU, length_scale:
 
 
 def require_mu(mu: float) -> None:
-    """Raise UsageError unless a fit can use a noise filter."""
+    """Raise UsageError unless a value of mu is valid for a fit."""
     if not SMALLEST_MU <= mu <= LARGEST_MU:
         raise UsageError(
             f"mu = {mu}, expected {SMALLEST_MU:g} to {LARGEST_MU:g}: smaller values make K singular, larger ones "
@@ -174,7 +175,7 @@ def require_mu(mu: float) -> None:
 def squared_distances(A: Array, B: Array) -> Array:
     """Return the squared distances of A (M, Q) and B (N, Q), shape (M, N); exactly 0 for equal coordinates.
 
-    Those of few points: SciPy's module of distances takes longer to import than a prediction to compute.
+    It does not use SciPy's module of distances, which takes longer to import than a prediction to compute.
     """
     squared = np.zeros((len(A), len(B)))
     for a, b in zip(A.T, B.T, strict=True):

@@ -1,4 +1,4 @@
-"""The likelihood of latents as a function of the data's Gram matrix, and after a move of one coordinate in O(N^2)."""
+"""The likelihood of latents from the data's Gram matrix, updated in O(N^2) after a move of one coordinate."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from manifold.gp.kernels import Kernel
 class LatentObjective:
     """The negative log likelihood of latents per output, F(X), without constants, and its gradient.
 
-    `F = 1/2 log|K| + N/2 log s^2 + tr(K^-1 S) / (2 D s^2) - N/2 + prior/2 ||X||^2`; S (N, N) is a centred Gram matrix
-    of D outputs, the prior's weight per output. Where the output variance is None, s^2 maximises the likelihood,
-    `s^2 = tr(K^-1 S) / (N D)`, and the third and fourth terms cancel.
+    `F = 1/2 log|K| + N/2 log s^2 + tr(K^-1 S) / (2 D s^2) - N/2 + prior/2 ||X||^2`. S (N, N) is the centred Gram
+    matrix of D outputs, and `prior` the weight of the prior per output. If the output variance is None, s^2 maximises
+    the likelihood, `s^2 = tr(K^-1 S) / (N D)`, and the third and fourth terms cancel.
 
     Source: Lawrence 2005; Hikichi & Iwasaki, eq. 21, where s^2 = 1, divided by -D.
     """
@@ -81,7 +81,7 @@ class LatentObjective:
         return float(0.5 * log_det + 0.5 * N * np.log(variance) + misfit + 0.5 * self.prior * squared_norm)
 
     def factorise(self, K: Array) -> tuple[Array, float]:
-        """Return the inverse of K (N, N), by Cholesky, and log|K|."""
+        """Return the inverse of K (N, N), from its Cholesky factor, and log|K|."""
         L, failed = scipy.linalg.lapack.dpotrf(K, lower=1)
         if failed:
             raise NumericalError(f"K is not positive definite (mu = {self.kernel.mu:.0e}); raise mu")
@@ -109,8 +109,8 @@ def pca_start(S: Array, n_components: int) -> Array:
 def fix_gauge(X: Array) -> Array:
     """Centre latents (N, Q), and orient each axis so that its longer tail is positive.
 
-    The likelihood does not depend on either. The longer tail is that with the larger sum of cubes, whose sign is robust
-    against rounding; on a symmetric axis it is that of the first latent whose magnitude is the largest to rounding.
+    The likelihood depends on neither. The sum of cubes of a coordinate determines its longer tail, robustly against
+    rounding; on a symmetric axis, the sign of the first latent of the largest magnitude does.
     """
     X = X - X.mean(axis=0)
     tail = np.sum(X**3, axis=0)
@@ -141,9 +141,9 @@ def require_start(X0: Array, N: int, Q: int) -> Array:
 
 
 def require_different(centred: Array, power: float) -> None:
-    """Raise ShapeError where all samples are the same to rounding, by the trace of their centred Gram matrix (N, N).
+    """Raise ShapeError if all samples are equal up to rounding, from the trace of their centred Gram matrix (N, N).
 
-    `power` is the trace of the uncentred one.
+    `power` is the trace of the uncentred Gram matrix.
     """
     if not np.trace(centred) > len(centred) * np.finfo(np.float64).eps * power:
         raise ShapeError(f"all {len(centred)} samples are identical, expected at least two different ones")
@@ -156,7 +156,7 @@ def require_prior(prior: float) -> None:
 
 
 def require_gram(S: Array, n_outputs: int) -> Array:
-    """Return a Gram matrix as float64 (N, N)."""
+    """Return a Gram matrix as float64 (N, N), after checking it."""
     S = np.asarray(S, dtype=np.float64)
     if S.ndim != 2 or S.shape[0] != S.shape[1] or S.shape[0] < 2:
         raise ShapeError(f"S has shape {S.shape}, expected (N, N) with N at least 2")
@@ -186,8 +186,8 @@ class IncrementalObjective:
 
         |K'| = t |K|,    P' = P + (c p p^T - (1 + b) (p q^T + q p^T) + a q q^T) / t.
 
-    Every move measures the error of P on the row it changed and on one more; P is computed afresh when that exceeds
-    2e-9, and after 500 moves, `n_refactorisations` times since the start, jumps not counted.
+    After every move the error of P is measured on the changed row and on another one. P is recomputed if the error
+    exceeds 2e-9, and after 500 moves; `n_refactorisations` counts this, without calls of `move_to`.
 
     Source: Woodbury; Hikichi & Iwasaki, section 3.4, for the search it serves.
     """
@@ -210,11 +210,11 @@ class IncrementalObjective:
 
     @property
     def value(self) -> float:
-        """F here."""
+        """F at the current point."""
         return float(self._state[_VALUE])
 
     def move_to(self, x: Array) -> None:
-        """Make x (N Q,) the current point, by a fresh factorisation."""
+        """Make x (N Q,) the current point, and factorise K again."""
         self._X = np.array(x, dtype=np.float64).reshape(-1, self._Q)
         self._factorise()
 
@@ -227,7 +227,7 @@ class IncrementalObjective:
         self._state[:] = log_det, trace, squared_norm, value, 0
 
     def explore(self, steps: Array, heading: Array, limits: tuple[Array, Array], budget: int) -> int:
-        """Try every coordinate both ways, keep each improvement at once; see `MoveObjective`."""
+        """Move each coordinate by plus and minus its step and keep each improvement at once; see `MoveObjective`."""
         index = tried = 0
         while index < steps.shape[0] and tried < budget:
             index, more, has_drifted = loops.explore(

@@ -1,6 +1,6 @@
 """Non-negative least squares from inner products.
 
-The problem is convex, so there is one optimum; most weights are zero at it.
+The problem is convex, so there is a single optimum, at which most weights are zero.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ _RIDGE = 1e-10  # on a unit diagonal: atoms that are alike leave the Gram matrix
 
 
 def nonnegative_weights(gram: Array, cross: Array) -> Array:
-    """Return weights v (R, n) >= 0 that minimise `v gram v - 2 v cross_r` for every row r, of n atoms and R vectors.
+    """Return weights v (R, n) >= 0 of n atoms that minimise `v gram v - 2 v cross_r` for each of R vectors.
 
-    Rows are solved in order, each starting from the atoms that the one before uses: neighbouring bands are alike. Inner
-    products are `gram` (n, n) of atoms, `cross` (R, n) of vectors with them.
+    `gram` (n, n) holds the inner products of the atoms, `cross` (R, n) those of the vectors with the atoms. Each
+    vector starts from the atoms of the vector before, because neighbouring bands are similar.
 
     >>> nonnegative_weights(np.eye(2), np.array([[0.5, -1.0]])).round(6)
     array([[0.5, 0. ]])

@@ -1,1 +1,1 @@
-"""The library of measured files: fetched, identified, imported, stored."""
+"""The library of measured files: download, identification, import and storage."""

@@ -1,9 +1,9 @@
-"""Compact materials: cube roots in a few spectral components, quantised, within a bound on the visible error.
+"""The compact form of a material: quantised spectral components of its cube roots, within a bound on the visible error.
 
-The cube roots of a material's values, and of its luminance as one band more, are stored in the principal components
-of its own spectra, as multiples of one step; of these, the differences between neighbours, which compress well. Cells
-without any value stay so. `vndf` is kept to four digits, everything else as it is.
-`manifold.library.compacting` finds the step.
+The cube roots of a material's values, with the luminance as one more band, are projected on the principal components
+of the material's own spectra and rounded to multiples of one step. The differences between neighbouring cells are
+stored, because they compress well. Cells without a value stay empty. `vndf` is kept to four digits, and every other
+field unchanged. `manifold.library.compacting` finds the step.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from manifold.library.identity import Accuracy
 from manifold.library.layout import compressed_bytes, pack
 
 EXTRA = "extra "
-"""Before the names of fields that this package does not interpret."""
+"""Prefix of the names of fields that this package does not interpret."""
 
 _MOST_VALUES = 1 << 28  # values of spectra; the largest measured materials have a tenth
 
@@ -35,9 +35,9 @@ class Compact:
 
     Attributes:
         coefficients: multiples of a step, as differences along rows and columns, int32, shape (K, P, T, H, W).
-        tables: by name: `step`; `basis` (K, B + 1), whose last band is the luminance; `is_nonnegative`; what `vndf`
-            follows from (`visible_normals`); and the fields that are kept as they are.
-        accuracy: of what it decodes to.
+        tables: arrays by name: `step`; `basis` (K, B + 1), whose last band is the luminance; `is_nonnegative`; the
+            arrays from which `visible_normals` restores `vndf`; and the fields that are stored unchanged.
+        accuracy: errors of the decoded material.
     """
 
     coefficients: NDArray[np.int32]
@@ -46,7 +46,7 @@ class Compact:
 
     @property
     def arrays(self) -> dict[str, AnyArray]:
-        """All arrays by name."""
+        """Return all arrays by name."""
         return {"coefficients": self.coefficients, **self.tables}
 
     @property
@@ -55,12 +55,12 @@ class Compact:
         return compressed_bytes(self.coefficients) + compressed_bytes(pack(self.tables)[0])
 
     def decode(self) -> dict[str, Any]:
-        """Return the fields of `BsdfFile` that hold arrays."""
+        """Return the array fields of the decoded `BsdfFile`, by name."""
         return decode(self.coefficients, self.tables)
 
 
 def decode(coefficients: NDArray[np.int32], tables: Mapping[str, AnyArray]) -> dict[str, Any]:
-    """Return the fields of `BsdfFile` that hold arrays, from those of `Compact`.
+    """Return the array fields of a `BsdfFile`, by name, decoded from the arrays of a `Compact`.
 
     Raises LookupError or ValueError.
     """

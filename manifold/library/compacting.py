@@ -1,4 +1,4 @@
-"""Compacting of libraries: the compact form of each material, verified before the original is removed."""
+"""Compacts libraries: replaces each material by its compact form, after verifying the stored data."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from manifold.library.staging import write_material
 from manifold.library.store import Library, read_material
 
 CUBE_ROOT_PER_BALL = 0.05
-"""The cube-root error that is allowed per CIEDE2000 of the ball that is: 1 % at 0.2."""
+"""Allowed cube-root error per allowed CIEDE2000 of the rendered sphere: 1 % at a tolerance of 0.2."""
 
 _COARSEST = 0.08  # step, relative to the root mean square of the norms of spectra
 _MOST_STEPS = 12
@@ -45,7 +45,13 @@ _VNDF_BITS, _BASIS_BITS = 10, 8  # last bits that are not kept
 
 @dataclass(frozen=True)
 class CompactResult:
-    """The outcome of each material: errors, names of those that were compact before, or the reason of a failure."""
+    """The outcome for each material of a library.
+
+    Attributes:
+        compacted: errors of the materials that were compacted, by name.
+        skipped: names of materials that were compact already.
+        failed: reasons of failures by name; these materials stay as they were.
+    """
 
     compacted: dict[str, Accuracy]
     skipped: tuple[str, ...]
@@ -53,9 +59,9 @@ class CompactResult:
 
 
 def compact_library(path: Path | str, tolerance: float = COMPACT_TOLERANCE) -> CompactResult:
-    """Store the materials of a library in compact form, one after the other; the originals are lost.
+    """Replace the materials of a library by their compact form, one after the other; the originals are lost.
 
-    A killed run leaves every material whole, in one form or the other; another run does the rest.
+    If the run is killed, every material is still whole, in one of the two forms; run it again to compact the rest.
     """
     require_tolerance(tolerance)
     library = Library(path)
@@ -97,9 +103,10 @@ def _compact(library: Library, info: MaterialInfo, staged: Path, folder: Path, t
 
 
 def encode(file: BsdfFile, tolerance: float = COMPACT_TOLERANCE) -> Compact:
-    """Return the coarsest compact form that was found within a tolerance, verified on the decoded file.
+    """Return the coarsest compact form whose decoded file stays within a tolerance.
 
-    The tolerance is the mean CIEDE2000 of the ball; the cube-root error may be `CUBE_ROOT_PER_BALL` times that.
+    The tolerance bounds the mean CIEDE2000 over a rendered sphere; the cube-root error may reach `CUBE_ROOT_PER_BALL`
+    times the tolerance.
     """
     roots, errors_of, kept = _Roots(file), _errors_from(file), _kept_tables(file)
     step, most = _COARSEST * roots.norm, Accuracy(tolerance, tolerance, CUBE_ROOT_PER_BALL * tolerance)
@@ -114,7 +121,7 @@ def encode(file: BsdfFile, tolerance: float = COMPACT_TOLERANCE) -> Compact:
     raise LibraryError(
         f"{file.name}: its compact form differs by {ball:.2g} {BALL} and {percent(cube_root, 2)} in cube roots at the "
         f"finest step, expected at most {most.ball:.2g} and {percent(most.cube_root, 2)}; raise the tolerance, "
-        "or store it as it is"
+        "or keep the material uncompressed"
     )
 
 

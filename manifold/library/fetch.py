@@ -1,4 +1,4 @@
-"""Download files of the RGL material database."""
+"""Downloads files of the RGL material database."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Entry:
 
     @property
     def file(self) -> str:
-        """The name of its file."""
+        """Return the name of the file."""
         return f"{self.name}_{'rgb' if self.is_rgb else 'spec'}.bsdf"
 
 
@@ -65,7 +65,7 @@ def rgb_table() -> Mapping[str, Entry]:
 def select(names: Sequence[str] | None, table: Mapping[str, Entry], anisotropic: bool) -> list[Entry]:
     """Return the entries of given names, or of all isotropic materials; with `anisotropic` of all materials.
 
-    RGB files without names are those with a checksum.
+    If `names` is None, only RGB files with a known checksum are returned.
     """
     if names is None:
         table = {name: entry for name, entry in table.items() if entry.sha256 or not entry.is_rgb}
@@ -83,11 +83,12 @@ _BLOCK_BYTES = 1 << 18
 
 @dataclass(frozen=True)
 class FetchResult:
-    """The files of a fetch.
+    """The files of a download.
 
     Attributes:
+        downloaded: paths of new files.
         present: paths of files that existed already.
-        without_checksum: names of files of which only the structure was checked, because no checksum is known.
+        without_checksum: names of files without a known checksum; only their structure was checked.
     """
 
     downloaded: tuple[Path, ...]
@@ -96,7 +97,7 @@ class FetchResult:
 
 
 class IncompleteFetchError(FetchError):
-    """Some files could not be downloaded; the error has the reason by material name, and the other results."""
+    """Raised if some downloads failed; `failed` holds the reasons by material, `result` the other files."""
 
     def __init__(self, message: str, result: FetchResult, failed: dict[str, str]) -> None:
         super().__init__(message)
@@ -117,12 +118,12 @@ def fetch(
 ) -> FetchResult:
     """Download files of the RGL database into a folder: `NAME_spec.bsdf`, or with `rgb` `NAME_rgb.bsdf`.
 
-    A file gets its final name only if its SHA-256 is right. An existing file with the right hash is kept, and any
-    other is replaced. A failed file does not stop the others.
+    A file gets its final name only if its SHA-256 is right. An existing file is kept if its hash is right, and
+    replaced otherwise. If a download fails, the other files are still downloaded.
 
-    If `names` is None, all isotropic materials are downloaded, with `anisotropic` also the others (1.2 GB more,
-    without known checksums), or with `rgb` the 20 whose checksums are known. `table` replaces the built-in table. A
-    connection without data for `timeout_s` seconds counts as stalled. `attempts` are per file.
+    If `names` is None, all isotropic materials are downloaded; `anisotropic` adds the anisotropic ones (1.2 GB more,
+    without known checksums), and `rgb` selects the 20 RGB files whose checksums are known. `table` replaces the
+    built-in table. A download stalls if no data arrive for `timeout_s` seconds. Each file is tried `attempts` times.
     """
     if rgb and anisotropic:
         raise UsageError("found rgb and anisotropic, expected one: anisotropic files are spectral")

@@ -1,4 +1,4 @@
-"""Identity of a material in a library: its name, the hash of its file, the hash of its content."""
+"""Identifies the materials of a library by name, by the hash of the file, and by the hash of the content."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from manifold.formats.recognition import is_library
 
 
 def require_outside_libraries(path: Path, *, into: bool = False) -> None:
-    """Raise UsageError if an output lies in a library or, for a folder to be written into, is one."""
+    """Raise UsageError if an output path lies in a library; with `into`, also if the path itself is a library."""
     real = Path(os.path.realpath(path))
     folders = [real, *real.parents] if into else real.parents
     libraries = [folder for folder in folders if is_library(folder)]
     if libraries:  # the last one is the library, others are its groups
         raise UsageError(
-            f"{path}: in the library {libraries[-1]}, which other files would damage; name another path"
+            f"{path}: lies in the library {libraries[-1]}, which this file would damage; name another path"
         )
 
 
@@ -40,9 +40,9 @@ class Accuracy:
     """Errors of a compact material.
 
     Attributes:
-        tolerance: that was asked for, mean CIEDE2000 of the ball.
-        ball: mean CIEDE2000 of the ball.
-        cube_root: `||(w f*)^(1/3) - (w f)^(1/3)|| / ||(w f)^(1/3)||`.
+        tolerance: largest `ball` that was allowed.
+        ball: mean CIEDE2000 over a rendered sphere between the compact and the original material.
+        cube_root: relative error of cube roots, `||(w f*)^(1/3) - (w f)^(1/3)|| / ||(w f)^(1/3)||`.
     """
 
     tolerance: float
@@ -56,14 +56,14 @@ class MaterialInfo:
 
     Attributes:
         source_file: name of the imported file, without its folder.
-        sha256: of the imported file.
-        content_sha256: of the fields as stored; `Library.verify` computes it again.
+        sha256: hash of the imported file.
+        content_sha256: hash of the stored fields; `Library.verify` computes it again.
         pipeline_version: version of the pipeline that wrote the file; RGB files say (1, 0).
         is_synthetic: whether the description marks the file as synthetic.
-        shape: of the spectra: (P, T, B, H, W) as in `BsdfFile`.
-        bytes: of all arrays together, before any compression.
-        accuracy: of a compact material; None where it is stored as it was imported.
-        rotation_rad: azimuth by which the sample lay turned; see `BsdfFile`.
+        shape: shape of the spectra, (P, T, B, H, W), as in `BsdfFile`.
+        bytes: size of all arrays together, before any compression.
+        accuracy: errors of a compact material; None if the material is stored unchanged.
+        rotation_rad: azimuth by which the specimen was turned; see `BsdfFile`.
     """
 
     name: str
@@ -80,7 +80,7 @@ class MaterialInfo:
 
     @property
     def origin(self) -> str:
-        """`measured`, `synthetic`, `predicted`, `completed` or `reconstructed`; see `records.origin_of`."""
+        """Return `measured`, `synthetic`, `predicted`, `completed` or `reconstructed`; see `records.origin_of`."""
         found = origin_of(self.description)
         return "synthetic" if found == "measured" and self.is_synthetic else found
 
@@ -91,7 +91,7 @@ class MaterialInfo:
 
 
 def origins_in_words(materials: Iterable[MaterialInfo]) -> str:
-    """Return the number of materials that were not measured, such as `3 of them synthetic`; may be empty."""
+    """Return a text that counts materials that were not measured, such as `3 of them synthetic`; it may be empty."""
     origins = Counter(material.origin for material in materials)
     del origins["measured"]
     return ", ".join(f"{count} of them {origin}" for origin, count in origins.most_common())
@@ -105,7 +105,7 @@ def describe(
 ) -> MaterialInfo:
     """Return the metadata that a library stores about a file.
 
-    With a compact form, they include its arrays and errors.
+    If a compact form is given, the hash, size and errors in the metadata refer to it.
     """
     arrays, accuracy = compact or (None, None)
     return MaterialInfo(
@@ -125,14 +125,14 @@ def describe(
 
 
 def present_arrays(file: BsdfFile) -> dict[str, Array]:
-    """Return the array fields that a file has: an RGB file has no `wavelengths_nm`."""
+    """Return the array fields that a file has, by name; an RGB file has no `wavelengths_nm`."""
     from manifold.library.layout import FIELDS
 
     return {name: getattr(file, name) for name in FIELDS if getattr(file, name) is not None}
 
 
 def file_sha256(path: Path) -> str:
-    """Return the hash of a file, in hexadecimal."""
+    """Return the SHA-256 of a file, in hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -140,10 +140,10 @@ def file_sha256(path: Path) -> str:
 def content_sha256(
     file: BsdfFile, source_file: str, sha256: str, arrays: Mapping[str, AnyArray] | None = None
 ) -> str:
-    """Return the hash of all that a library holds of a material, compact or as in the file, whatever its chunks.
+    """Return the hash of everything that a library stores of a material; it does not depend on the chunks.
 
-    SHA-256 in hexadecimal over one line of JSON (name, source file, hash of the file, description, version, jacobian,
-    and the rotation where there is one) and then, as `hash_arrays` has it, of the fields and the extra fields.
+    The SHA-256, in hexadecimal, covers one line of JSON (name, source file, hash of the file, description, version,
+    jacobian, and the rotation if there is one), then the fields and the extra fields as in `hash_arrays`.
     """
     version = [int(part) for part in file.version]
     header = [file.name, source_file, sha256, file.description, version, bool(file.jacobian)]
@@ -157,7 +157,7 @@ def content_sha256(
 
 
 def hash_arrays(arrays: Mapping[str, Array]) -> str:
-    """Return the SHA-256 over name, dtype, shape and little-endian bytes, in C order, of each array."""
+    """Return the SHA-256 of arrays, over the name, dtype, shape and little-endian bytes (C order) of each."""
     digest = hashlib.sha256()
     for name, array in arrays.items():
         _update(digest, name, np.asarray(array))
@@ -165,13 +165,13 @@ def hash_arrays(arrays: Mapping[str, Array]) -> str:
 
 
 def is_material_name(name: str) -> bool:
-    """Return whether a name can be that of a group in a zarr store and of a folder."""
+    """Return whether a name is valid both as a group of a zarr store and as a folder."""
     is_sound = re.fullmatch(r"(?!\.|__)[^/\\]{1,200}", name) and name.isprintable()
     return bool(is_sound) and name != "zarr.json"
 
 
 def require_material_name(name: str) -> None:
-    """Raise UsageError unless a new material can have a name, on every system that a library may travel to."""
+    """Raise UsageError unless a name for a new material is valid on every operating system."""
     is_reserved = re.fullmatch(r"(?i)(con|prn|aux|nul|com\d|lpt\d)(\..*)?", name)
     is_portable = not re.search(r'[<>:"|?*\\]|[ .]$', name) and unicodedata.is_normalized("NFC", name)
     if not is_material_name(name) or is_reserved or not is_portable or len(name.encode()) > 200:
@@ -189,12 +189,12 @@ def require_tolerance(tolerance: float) -> None:
 
 
 def alike(name: str) -> str:
-    """Return a key that is equal for names that differ in case or Unicode form only, as on some file systems."""
+    """Return a key that is equal for names that differ only in case or Unicode form, as some file systems do."""
     return unicodedata.normalize("NFC", unicodedata.normalize("NFC", name).casefold())
 
 
 def info_of(name: str, values: Mapping[str, Any]) -> MaterialInfo:
-    """Return the metadata of a material from the attributes of its group."""
+    """Return the metadata of a material from the attributes of its zarr group."""
     optional = ("name", "accuracy", "rotation_rad")
     known = {field.name: values[field.name] for field in fields(MaterialInfo) if field.name not in optional}
     accuracy, rotation_rad = values.get("accuracy"), float(values.get("rotation_rad", 0.0))

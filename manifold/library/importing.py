@@ -1,4 +1,4 @@
-"""Import of files into a library; every finished material is added atomically."""
+"""Imports files into a library; each material is added atomically."""
 
 from __future__ import annotations
 
@@ -43,20 +43,19 @@ T = TypeVar("T")
 
 
 class InconsistentFileWarning(UserWarning):
-    """Values of a file disagree with each other, or are not those of a surface; it is imported."""
+    """Warns that values of an imported file disagree with each other or are physically impossible."""
 
 
 @dataclass(frozen=True)
 class ImportResult:
-    """The outcome of each file.
+    """The outcome of an import for each file.
 
     Attributes:
         imported: names of new materials, sorted.
-        skipped: names of materials that were there already with the same SHA-256, sorted.
-        replaced: names of materials whose content was exchanged, sorted.
-        failed: why a file was left out, by its path; all the others were imported.
-        inconsistent: what is wrong with the values of files that were imported all the same, by their paths; see
-            `brdf.consistency`.
+        skipped: names of materials that the library already held with the same SHA-256, sorted.
+        replaced: names of materials whose content was replaced, sorted.
+        failed: reason why a file was not imported, by its path; all other files were imported.
+        inconsistent: faults in the values of imported files, by path; see `brdf.consistency`.
     """
 
     imported: tuple[str, ...]
@@ -87,30 +86,31 @@ def import_files(
     rotation_rad: Rotation = None,
     workers: Executor | None = None,
 ) -> ImportResult:
-    """Import RGL files into a library, which is made with the bands of the first file if there is none.
+    """Import RGL files into a library; a new library is created with the bands of the first file.
 
-    A material appears in the library in one step, when it is whole: a killed import leaves exactly the
-    finished ones, and importing again adds the rest. One bad file stops no other. A file whose values are inconsistent
-    is warned of (`InconsistentFileWarning`), and imported.
+    Each material appears in the library only when it is complete. If the import is killed, the finished materials
+    stay, and importing again adds the rest. If a file cannot be read, the others are still imported. A file with
+    inconsistent values is imported with an `InconsistentFileWarning`.
 
     Args:
-        library_path: the library.
-        sources: `.bsdf` files, or folders searched at every depth for `*.bsdf`; one of them, or several.
-        replace: exchange materials that are there under the same name with other content, or in another form.
+        library_path: path of the library.
+        sources: one or several `.bsdf` files, or folders that are searched recursively for `*.bsdf`.
+        replace: replace materials that have the same name but other content or another form of storage.
         tolerance: largest ball error (CIEDE2000) allowed for compact storage; None stores the files unchanged.
-        rotation_rad: azimuth by which anisotropic samples lay turned, from -pi to pi, which whatever evaluates them
-            undoes; "auto" finds it from the normals, see `manifold.brdf.orientation`.
-        workers: executor that checks files and writes materials; threads of this process if None.
+        rotation_rad: azimuth, from -pi to pi, by which anisotropic specimens were turned when they were measured; it
+            is stored, and evaluation turns the material back. "auto" estimates it from the normals; see
+            `manifold.brdf.orientation`.
+        workers: executor that checks files and writes materials; None uses threads of this process.
 
     Returns:
-        What became of each file; `failed` must be looked at.
+        The outcome for each file; check `failed`, because a failed file raises no exception.
 
     Raises:
-        UsageError: a source does not exist, a folder holds no `*.bsdf`, the library would lie in another one, or the
-            rotation is out of range.
+        UsageError: a source does not exist, a folder holds no `*.bsdf`, the library would lie in another library, or
+            the rotation is out of range.
         BandMismatchError: a file has other bands than the library or the first file; nothing was written.
-        LibraryError: the path is not a library, another process writes to it, or the disk is full.
-        ManifoldError: a worker was lost.
+        LibraryError: the path is not a library, another process is writing to it, or the disk is full.
+        ManifoldError: a worker process ended unexpectedly.
     """
     if tolerance is not None:
         require_tolerance(tolerance)
@@ -158,9 +158,10 @@ def find_files(
     is_wanted: Callable[[Path], bool] = is_rgl,
     what: str = ".bsdf file",
 ) -> list[Path]:
-    """Return the files among sources, each once, in order; folders are searched at every depth, and sorted.
+    """Return the wanted files among files and folders, each once and in order.
 
-    Of a folder, libraries and hidden folders in it are left out; `what` says in words which files are wanted.
+    Folders are searched recursively, in sorted order, without libraries and hidden folders in them. `what` describes
+    the wanted files in messages.
     """
     found: dict[Path, None] = {}
     for source in map(Path, sources):
@@ -304,8 +305,8 @@ def _store_all(
             report.step(source.path)
     if stopped is not None:
         raise LibraryError(
-            f"{library.name}: writing failed ({stopped}) with {len(report.outcomes)} materials done; those are whole: "
-            "make room or check permissions, and import again"
+            f"{library.name}: writing failed ({stopped}) with {len(report.outcomes)} materials finished, which "
+            "are complete: free some space or check permissions, and import again"
         )
 
 

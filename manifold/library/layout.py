@@ -3,19 +3,20 @@
     library.zarr/             attributes: schema, schema_version, bands (wavelengths in nm, or "RGB")
       materials/NAME/         attributes of `MaterialInfo`, and one array per field of `BsdfFile`
         spectra               (phi_i, theta_i, row, column, band), one chunk per direction and band range
-        vndf_difference       from what `ndf` says, in units in the last place, see `manifold.library.visible_normals`;
-                              libraries of schema 1 have `vndf` itself
+        vndf_difference       `vndf` less its value computed from `ndf`, in units in the last place, see
+                                `manifold.library.visible_normals`; libraries of schema 1 have `vndf` itself
         extra/0, 1, ...       fields this package does not interpret; attribute `field` holds the name
       materials/NAME/         of a compact material (`manifold.library.compact`):
         coefficients          (component, phi_i, theta_i, row, column)
         tables                everything else as bytes, as the attribute `tables` says
       cache/KEY/              arrays that can be computed again
 
-`docs/explanation/storage-and-rendering.md` says why the chunks are what they are.
+`docs/explanation/storage-and-rendering.md` explains the choice of the chunks.
 
-Arrays are written by zarr, and read by NumPy in those forms that are written here: zarr takes longer to import and to
-read than a prediction to compute. Files of others are checked first: sizes, codecs, and that no chunk is missing. The
-metadata of `materials` include those of all materials (zarr's consolidated metadata), for reading over HTTP.
+zarr writes the arrays. NumPy reads those layouts that this package writes, because importing zarr and reading with it
+take longer than computing a prediction. Before reading, sizes and codecs are checked, and that no chunk is missing.
+The metadata of `materials` include the metadata of all materials (zarr's consolidated metadata), for reading over
+HTTP.
 """
 
 from __future__ import annotations
@@ -56,13 +57,13 @@ FIELDS: dict[str, tuple[str, tuple[str, ...], str | None]] = {
 
 @dataclass(frozen=True)
 class StoredArray:
-    """One array as it stands in the store.
+    """One array of the zarr store.
 
     Attributes:
-        values: in the axis order of the store.
-        chunks: shape of a chunk, the whole array by default.
-        shards: shape of what one file holds; None for one chunk per file.
-        is_compressed: by zstd, losslessly.
+        values: the values, in the axis order of the store.
+        chunks: shape of a chunk; the whole array by default.
+        shards: shape of the part that one file holds; None for one chunk per file.
+        is_compressed: whether zstd compresses the array, losslessly.
     """
 
     values: AnyArray
@@ -74,7 +75,7 @@ class StoredArray:
 
 
 def stored(name: str, values: Array, bands: Bands) -> StoredArray:
-    """Return a field of `BsdfFile`, by its name there, as the store holds it."""
+    """Return the stored form of a field of `BsdfFile`, given its name and values."""
     _, dims, units = FIELDS[name]
     attributes: dict[str, Any] = {"units": units} if units else {}
     if name == "luminance":
@@ -96,7 +97,7 @@ def stored(name: str, values: Array, bands: Bands) -> StoredArray:
 
 
 def root_attributes(bands: Bands) -> dict[str, Any]:
-    """Return the attributes of a new library."""
+    """Return the zarr attributes of a new library with the given bands."""
     wavelengths = "RGB" if bands.wavelengths_nm is None else list(bands.wavelengths_nm)
     return {"schema": SCHEMA, "schema_version": SCHEMA_VERSION, "bands": wavelengths}
 
@@ -111,14 +112,14 @@ _DOTS = {"name": "default", "configuration": {"separator": "."}}
 
 
 def write_group(folder: Path, attributes: dict[str, Any]) -> None:
-    """Make a folder that is a group."""
+    """Write a folder that is a zarr group with these attributes."""
     import zarr
 
     zarr.create_group(folder, zarr_format=3, attributes=attributes)
 
 
 def write_array(folder: Path, stored: StoredArray) -> None:
-    """Make a folder that is an array of little-endian chunks, one file per chunk or shard."""
+    """Write a folder that is a zarr array of little-endian chunks, one file per chunk or shard."""
     import zarr
     from zarr.codecs import BloscCodec
 
@@ -159,7 +160,7 @@ def read_attributes(folder: Entry) -> dict[str, Any]:
 
 
 def read_array(group: Entry, name: str) -> AnyArray:
-    """Read one array of the group in a folder, writeable and C-contiguous in the axis order of the store.
+    """Read one array of a group; the result is writeable and C-contiguous in the axis order of the store.
 
     Raises OSError, LookupError, TypeError or ValueError.
     """
@@ -168,7 +169,7 @@ def read_array(group: Entry, name: str) -> AnyArray:
 
 
 def pack(tables: Mapping[str, AnyArray]) -> tuple[AnyArray, list[Any]]:
-    """Join arrays into bytes (n,), and return name, dtype and shape of each, because few arrays read faster."""
+    """Join arrays into one byte array (n,), which reads faster; return it with the name, dtype and shape of each."""
     little = {name: np.asarray(array, array.dtype.newbyteorder("<")) for name, array in tables.items()}
     layout = [[name, array.dtype.str, list(array.shape)] for name, array in little.items()]
     return np.frombuffer(b"".join(array.tobytes() for array in little.values()), np.uint8), layout

@@ -1,9 +1,9 @@
-"""Atomic writing of folders of a library: staged beside it, renamed into place when whole.
+"""Writes folders of a library atomically: each is staged beside the library and renamed into place when complete.
 
-Beside a library `NAME` stands the lock `.NAME.lock`, an empty file, and, only while somebody writes, the staging folder
-`.NAME.importing-*`; the next writer removes those that a killed process has left. Of a library that is a mount point,
-which no rename from outside reaches, they stand in it. A folder that is being replaced is `.NAME.replaced` beside its
-place until the new one is there.
+Beside a library `NAME` lies the lock `.NAME.lock`, an empty file, and during writing the staging folder
+`.NAME.importing-*`; the next writer removes staging folders that a killed process has left. If the library is a mount
+point, both lie inside it, because a rename cannot cross file systems. While a folder is being replaced, the old one
+is kept as `.NAME.replaced` beside it.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _PARTS = ("materials", "cache")  # folders in which folders are replaced
 
 @contextmanager
 def writing(library: Path) -> Iterator[Path]:
-    """Hold the write lock of a library, which may not exist yet, and lend an empty staging folder beside it."""
+    """Hold the write lock of a library, which may not exist yet, and yield an empty staging folder beside it."""
     from filelock import FileLock, Timeout  # what only reads does without
 
     prefix = f".{library.name}.importing-"
@@ -66,7 +66,7 @@ def writing(library: Path) -> Iterator[Path]:
         staging = Path(tempfile.mkdtemp(prefix=prefix, dir=home))
     except Timeout:
         raise LibraryError(
-            f"{library.name}: another process is writing to it; import again when that is done"
+            f"{library.name}: another process is writing to it; try again when it has ended"
         ) from None
     except OSError as error:
         raise LibraryError(
@@ -80,7 +80,7 @@ def writing(library: Path) -> Iterator[Path]:
 
 
 def require_no_link(folder: Path) -> None:
-    """Raise LibraryError where a folder of a library is a link: writes would reach another one, without its lock."""
+    """Raise LibraryError if a folder of a library is a link: writing would change another library without its lock."""
     if folder.is_symlink():
         raise LibraryError(
             f"{folder}: a link to {os.path.realpath(folder)}, expected a folder of the library's own; "
@@ -89,14 +89,14 @@ def require_no_link(folder: Path) -> None:
 
 
 def contents(library: Path) -> list[Path]:
-    """Return the contents of a folder, without lock and staging folder."""
+    """Return the paths in a folder, without the lock and the staging folder."""
     return [path for path in library.iterdir() if not path.name.startswith(f".{library.name}.")]
 
 
 def supplant(staged: Path, target: Path) -> None:
-    """Replace a group by a finished one with other array names; one of the two always exists.
+    """Replace a group by a finished group with other array names; one of the two always exists.
 
-    A killed process leaves one of them, and perhaps arrays of the other, which `keep_arrays` removes.
+    A killed process may leave arrays of the other group, which `keep_arrays` removes.
     """
     for path in staged.rglob("*"):
         if path.is_file():
@@ -111,16 +111,16 @@ def supplant(staged: Path, target: Path) -> None:
 
 
 def keep_arrays(group: Path, names: Collection[str]) -> None:
-    """Remove all other arrays of a group."""
+    """Remove all arrays of a group except the named ones."""
     for path in group.iterdir():
         if path.is_dir() and path.name not in names:
             shutil.rmtree(path)
 
 
 def publish(staged: Path, target: Path) -> None:
-    """Rename a finished folder of the staging folder to its final name, in place of an existing one.
+    """Rename a finished staged folder to its final name, replacing an existing folder.
 
-    Of a process killed in between, `standing` finds the old folder, and the next writer puts it back.
+    If the process is killed in between, `standing` finds the old folder, and the next writer moves it back.
     """
     if target.exists():
         os.rename(target, _replaced(target))
@@ -129,13 +129,13 @@ def publish(staged: Path, target: Path) -> None:
 
 
 def standing(folder: Entry, name: str) -> Entry:
-    """Return the current path of a folder in another; during a replacement this is the backup beside it."""
+    """Return the current path of a folder's subfolder; during a replacement this is the backup beside it."""
     target, replaced = folder / name, folder / f".{name}{_REPLACED}"
     return replaced if not target.is_folder and replaced.is_folder else target
 
 
 def standing_names(folder: Entry) -> set[str]:
-    """Return the names of the folders in a folder, including those that are being replaced."""
+    """Return the names of a folder's subfolders, including those that are being replaced."""
     found = folder.folders
     replaced = {
         name[1 : -len(_REPLACED)] for name in found if name.startswith(".") and name.endswith(_REPLACED)
@@ -159,7 +159,7 @@ def _conclude(target: Path) -> None:
 
 
 def consolidate(library: Path) -> None:
-    """Write the metadata of all materials into that of their group, so that reading over HTTP takes few requests."""
+    """Write the metadata of all materials into their parent group, so that reading over HTTP takes few requests."""
     group = library / MATERIALS
     parts = {file: file.parent.relative_to(group).parts for file in sorted(group.rglob(METADATA))}
     below = {
@@ -190,9 +190,10 @@ def make_store(folder: Path, bands: Bands, staged: Path) -> None:
 def write_material(
     folder: Path, file: BsdfFile, source_file: str, sha256: str, compact: Compact | None = None
 ) -> None:
-    """Write a material's group into a folder that does not exist yet (it is published by a rename).
+    """Write a material's group into a new folder; `publish` later renames it into place.
 
-    The source file and SHA-256 are of the imported file; it is stored in compact form, or by default as it is.
+    `source_file` and `sha256` are the name and hash of the imported file. If `compact` is None, the file is stored
+    unchanged.
     """
     attributes: dict[str, Any] = {"jacobian": bool(file.jacobian)}
     if compact is not None:

@@ -1,6 +1,6 @@
 """The library: RGL files in one zarr store, opened for reading; its layout is in `manifold.library.layout`.
 
-Written once, renamed into place when whole (`manifold.library.staging`), never changed.
+Every material is written once, renamed into place when complete (`manifold.library.staging`), and never changed.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ from manifold.library.layout import (
 from manifold.library.staging import make_store
 
 MOST_BYTES = 1 << 30
-"""The largest total of all entries of a library; those least recently used go first."""
+"""Largest total size of a library's cache in bytes; the least recently used entries are removed first."""
 
 
 def _prune(folder: Path) -> None:
@@ -81,10 +81,10 @@ def _prune(folder: Path) -> None:
 class Library:
     """A library opened for reading; `import_files` in `manifold.library.importing` adds materials.
 
-    Nothing of a folder is cached: materials imported by another process are visible immediately.
+    Materials that another process imports into the folder are visible immediately, because nothing is cached.
 
     Attributes:
-        path: of the folder or zip file; `built-in`, or an address.
+        path: path of the folder or zip file, `built-in`, or an address.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -115,7 +115,7 @@ class Library:
 
     @classmethod
     def open(cls, path: Path | str) -> Library:
-        """Open a library."""
+        """Open a library for reading."""
         return cls(path)
 
     @classmethod
@@ -124,7 +124,7 @@ class Library:
 
         Raises:
             UsageError: the path lies in a library.
-            LibraryError: something is there already, or the folder cannot be written.
+            LibraryError: the path exists already, or the folder cannot be written.
         """
         require_folder(path)
         folder = Path(path).expanduser().resolve()  # staging beside the library, not beside a link
@@ -135,13 +135,13 @@ class Library:
 
     @property
     def folder(self) -> Path:
-        """The folder of the library, for those who write. Raises UsageError for libraries that are only read."""
+        """Return the folder of the library for writing. Raises UsageError for a read-only library."""
         require_folder(self.path)
         return self.path
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The materials' names, sorted."""
+        """Return the names of the materials, sorted."""
         try:
             return tuple(sorted(staging.standing_names(self._root / "materials")))
         except OSError as error:
@@ -157,10 +157,10 @@ class Library:
         return isinstance(name, str) and is_material_name(name) and self._folder(name).is_folder
 
     def read(self, name: str) -> BsdfFile:
-        """Read one material, verified by its hash.
+        """Read one material and verify it by its hash.
 
-        It equals the imported file in every value, shape and dtype, unless it is compact: `attributes` tells how
-        accurate it is then.
+        The record equals the imported file in every value, shape and dtype. A compact material differs from it;
+        `attributes` holds its errors.
 
         Returns:
             A record whose `spectra` (P, T, B, H, W) is a view: `np.moveaxis(spectra, 2, -1)` is C-contiguous.
@@ -197,7 +197,7 @@ class Library:
 
     @property
     def disk_bytes(self) -> int:
-        """Return the bytes of the materials' files, of a zip file its own; 0 for those at an address."""
+        """Return the size in bytes of the materials' files or of the zip file; 0 for a library at an address."""
         files = [shipped.LIBRARY_FILE] if self.path == shipped.BUILT_IN else [self.path]
         if self.path.is_dir():
             files = list((self.path / "materials").rglob("*"))
@@ -205,7 +205,7 @@ class Library:
 
     @property
     def content_hash(self) -> str:
-        """SHA-256 over the bands and every name, file hash and rotation, by which a model identifies its library."""
+        """Return the SHA-256 over bands, names, file hashes and rotations, by which a model identifies its library."""
         digest = hashlib.sha256(json.dumps(self.bands.wavelengths_nm).encode())
         for name in self.names:
             info = self.attributes(name)
@@ -217,7 +217,7 @@ class Library:
         """Read and hash every material again.
 
         Returns:
-            One line per damaged material, naming it; empty if all is well.
+            One line of text per damaged material, which names it; empty if every material is intact.
         """
         problems = []
         for name in progress.each(self.names, str):
@@ -230,7 +230,7 @@ class Library:
     def cache_get(self, key: str) -> dict[str, Array] | None:
         """Return the arrays that `cache_put` stored under a key, or None if there are none or they are damaged.
 
-        Libraries that are only read may bring some along.
+        Read-only libraries may contain cached arrays.
         """
         for home in dict.fromkeys((Entry.of_folder(self._cache_home), self._root)):
             folder = home / "cache" / key
@@ -249,7 +249,7 @@ class Library:
         return None
 
     def cache_put(self, key: str, arrays: Mapping[str, Array]) -> None:
-        """Store arrays under a key of letters, digits, - and _, atomically; no effect if it cannot be written."""
+        """Cache arrays under a key of letters, digits, - and _; do nothing if the cache cannot be written."""
         target = self._cache_home / "cache" / key
         try:
             with staging.writing(self._cache_home) as staged:
@@ -300,7 +300,7 @@ class Library:
 
 
 def require_folder(path: Path | str) -> None:
-    """Raise UsageError if a path names a library that cannot be written to: the built-in one, or one elsewhere."""
+    """Raise UsageError if a path names a read-only library: the built-in one, a zip file, or an address."""
     name = address_of(path)
     if shipped.is_built_in(path):
         name = "the built-in library"
@@ -369,7 +369,7 @@ def _first_line(error: Exception) -> str:
 
 
 def read_material(folder: Entry, info: MaterialInfo, *, is_rgb: bool) -> tuple[BsdfFile, str]:
-    """Return a material and the hash of the data that were read; RGB has no wavelengths."""
+    """Read a material and return it with the hash of its data; an RGB material has no wavelengths."""
     hashed: dict[str, AnyArray] | None = None
     attributes = read_attributes(folder)
     if info.accuracy is None:

@@ -1,8 +1,9 @@
-"""The field `vndf` as its difference from what `ndf` says, which restores it bit for bit.
+"""Stores the field `vndf` as its difference from values computed from `ndf`, and restores it bit for bit.
 
 A table of visible normals follows from the normal distribution: `D(m) max(0, wi . m) sqrt(theta) sin(theta)`, up to a
-factor per incident direction. In most files the two differ by rounding alone; the difference, in units in the last
-place, is mostly zeros and compresses to a few per cent. Where they differ by more, so does what is stored.
+factor per incident direction. In most files the stored and the computed table differ only by rounding; their
+difference, in units in the last place, is mostly zeros and compresses to a few per cent. Larger differences are
+stored in the same way.
 
 Source: Dupuy & Jakob 2018, section 4.
 """
@@ -21,27 +22,28 @@ Differences = NDArray[np.int32]
 
 
 class Slices(NamedTuple):
-    """The parameters of the tables of visible normals of P x T incident directions, beside `ndf`: factors (P, T).
+    """The parameters that, with `ndf`, determine the tables of visible normals of P x T incident directions.
 
     Attributes:
-        elevations_rad: of the incident directions, shape (P, T): those of the file, or the limit at the horizon.
+        elevations_rad: elevations of the incident directions in radians, shape (P, T), limited at the horizon.
+        factors: factor of each table, shape (P, T).
     """
 
     elevations_rad: Array
     factors: Array
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
+        """Return the parameters as lists that JSON can hold."""
         return {name: values.tolist() for name, values in self._asdict().items()}
 
     @classmethod
     def from_json(cls, content: Any) -> Slices:
-        """Restore the slices from plain values. Raises LookupError or ValueError for other values."""
+        """Restore the parameters from `to_json`. Raises LookupError or ValueError for other values."""
         return cls(*(np.array(content[name], dtype=np.float64) for name in cls._fields))
 
 
 def encode(file: BsdfFile) -> tuple[Differences, Slices]:
-    """Return differences of `vndf` from computed slices, in units in the last place, and these slices."""
+    """Return the differences of `vndf` from computed tables, in units in the last place, and their parameters."""
     shape = file.vndf.shape[:2]
     differences = np.empty(file.vndf.shape, np.int32)
     slices = Slices(np.empty(shape), np.empty(shape))
@@ -61,7 +63,7 @@ def encode(file: BsdfFile) -> tuple[Differences, Slices]:
 
 
 def decode(differences: Differences, slices: Slices, ndf: Array, phi_i_rad: Array) -> Array:
-    """Return the `vndf` that was encoded, float32, bit for bit on every machine."""
+    """Return the encoded `vndf`, float32, identical bit for bit on every machine."""
     vndf = np.empty(differences.shape, np.float32)
     azimuths = _azimuths(phi_i_rad)
     for p, t in np.ndindex(differences.shape[:2]):

@@ -1,1 +1,1 @@
-"""Commands on many inputs: a folder of results that resumes, a table and a sheet of balls."""
+"""Commands for many inputs, which write a folder of results, a table, and a contact sheet."""

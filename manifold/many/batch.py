@@ -1,4 +1,4 @@
-"""Many outputs of one command: files, made in several processes, then a table and a contact sheet of balls.
+"""Makes many outputs of one command in several processes, then a table and a contact sheet of rendered spheres.
 
 An index in the folder records the inputs of every file, so that a later run only makes files that are missing or
 whose inputs have changed. A file enters the index as soon as it is complete. One run at a time writes to a folder
@@ -57,13 +57,13 @@ class BatchSource(Protocol):
 S = TypeVar("S", bound=BatchSource)
 T = TypeVar("T")
 Content = dict[str, Any]
-"""The content of an output, plain values."""
+"""The result of one output, as plain values."""
 Beside = Callable[[Path, Content], Sequence[Path]]
-"""Returns the other files that belong to an output, from its path and content."""
+"""A function that returns the other files that belong to an output, given its path and content."""
 
 
 class SheetWarning(UserWarning):
-    """A batch is complete, but its contact sheet of balls could not be drawn."""
+    """Warns that a batch is complete, but that its contact sheet could not be drawn."""
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,8 @@ class Outcome(Generic[T]):
     Attributes:
         path: path of the file, which exists unless its making failed.
         content: the result; None after a failure, unless only the writing of the file was refused.
-        was_there: whether an earlier run had made it.
-        failure: why there is no file, else None.
+        was_there: whether an earlier run made the file.
+        failure: reason why there is no file; None if there is one.
         notes: notes for the user.
     """
 
@@ -109,7 +109,8 @@ class BatchCommand(Generic[S]):
         beside: function that names the other files of an output, except its balls; it must be picklable.
         prepare: called once in this process before it makes an output.
         conclude: called at the end with the outputs that were made.
-        is_shared: whether the folder is to be given to others: without index and lock when all outputs are made.
+        is_shared: whether the folder is meant for other people, so that index and lock are removed when it is
+            complete.
     """
 
     what: str
@@ -132,7 +133,7 @@ def batch(
 ) -> Batch[S]:
     """Make the outputs of all sources that no earlier run has made from the same inputs.
 
-    A failed output does not stop the others. Returns one outcome per source, in order. The folder is made if
+    If one output fails, the others are still made. Returns one outcome per source, in order. The folder is created if
     missing; for `workers` see `work.run`.
     """
     made = Batch(command, folder, [])
@@ -159,7 +160,8 @@ def batch(
                 outcomes[k] = Outcome(source.name, path, source, output.content, failure=refusal)
             elif not _is_there(path):
                 unseen = (
-                    f"{path}: not seen here after a worker wrote it; use a folder that all machines share"
+                    f"{path}: a worker wrote this file, but it is not visible here; use a folder that all machines "
+                    "share"
                 )
                 outcomes[k] = Outcome(source.name, path, source, failure=unseen)
             else:
@@ -291,7 +293,7 @@ def cell(value: Any) -> str:
 
 
 def notes_of(outcome: Outcome[Any]) -> list[str]:
-    """Return the notes on a file, and on the prediction that it shows, in sentences."""
+    """Return sentences with the notes on a file, and on the prediction that it shows."""
     content = outcome.content or {}
     parts = (content, content.get("prediction") or {})
     return [
@@ -301,7 +303,7 @@ def notes_of(outcome: Outcome[Any]) -> list[str]:
 
 
 def ball_path(path: Path) -> Path:
-    """Return the path of a file's ball; a picture is its own."""
+    """Return the path of the picture of a file's sphere; for a picture, the path itself."""
     return path if path.suffix.lower() == ".png" else path.parent / "balls" / f"{path.stem}.png"
 
 
@@ -313,12 +315,12 @@ def _is_there(path: Path) -> bool:
 
 
 def measured_ball_path(path: Path) -> Path:
-    """Return where the ball of the measured material is drawn that a file describes."""
+    """Return the path for a picture of the measured material that a file describes."""
     return path.parent / "balls" / "measured" / f"{path.stem}.png"
 
 
 def appearance(path: Path, brdf: EvaluableBRDF | None = None) -> dict[str, Any]:
-    """Return colour and gloss of a BRDF, by default of the RGL file, for the table, and draw its ball."""
+    """Return the colour and gloss of a BRDF, by default of the RGL file at the path, and draw its sphere."""
     brdf = MeasuredBRDF(read_bsdf(path)) if brdf is None else brdf
     if backend.is_available():
         is_file = is_rendered(path)
@@ -328,7 +330,7 @@ def appearance(path: Path, brdf: EvaluableBRDF | None = None) -> dict[str, Any]:
 
 
 def measured_appearance(path: Path, measured: BsdfFile) -> dict[str, Any]:
-    """Return colour and gloss of the measured material that a file describes, and draw its ball."""
+    """Return the colour and gloss of the measured material that a file describes, and draw its sphere."""
     if backend.is_available():
         _write_ball(measured_ball_path(path), thumbnails.of_material(measured))
     return {"measured": _look(MeasuredBRDF(fill_unmeasured(measured)))}
@@ -347,7 +349,7 @@ def _look(brdf: EvaluableBRDF) -> dict[str, Any]:
 def appearance_columns(word: str, key: str = "appearance") -> dict[str, Callable[[Content], Any]]:
     """Return columns of a table whose titles end in a word: CIELAB, and gloss units at 60 degrees.
 
-    They are those of `appearance` or, by the key `measured`, of `measured_appearance`.
+    They show the results of `appearance` or, with the key `measured`, of `measured_appearance`.
     """
 
     def column(value: Callable[[dict[str, Any]], Any]) -> Callable[[Content], Any]:
@@ -403,7 +405,7 @@ def _keep_to_one_thread() -> None:
 
 
 def make_folder(folder: Path, what: str) -> None:
-    """Make the folder of many outputs, `what` in words."""
+    """Create the folder for many outputs; `what` names the outputs in messages."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -412,18 +414,18 @@ def make_folder(folder: Path, what: str) -> None:
 
 
 def lock_of(folder: Path) -> Path:
-    """Return the lock of a folder that a run writes to."""
+    """Return the path of the lock of a folder to which a run writes."""
     return folder / ".manifold.lock"
 
 
 def index_of(folder: Path, what: str) -> Path:
-    """Return the index of a folder's outputs."""
+    """Return the path of the index of a folder's outputs."""
     return folder / f"{what}.jsonl"
 
 
 @contextmanager
 def only_run_in(folder: Path, what: str) -> Iterator[None]:
-    """Make a folder and hold its lock, so that the results of two runs are not mixed."""
+    """Create a folder and hold its lock during the block, so that two runs do not mix their results."""
     make_folder(folder, what)
     lock = FileLock(lock_of(folder))
     disk.require_lockable(Path(lock.lock_file))

@@ -1,4 +1,4 @@
-"""The commands that take many materials: the function of each for one material, for `batch`."""
+"""Defines the commands for many materials: for each, the function that `batch` calls for one material."""
 
 from __future__ import annotations
 
@@ -57,10 +57,10 @@ def completions_of(
     library: Path, *, correction: Path | None = None, count: int = 0, instrument: str | None = None,
     options: OutputOptions, report: Path | None = None,
 ) -> BatchCommand[Sample]:  # fmt: skip
-    """Complete the samples that `inputs.find_samples` finds through a library; see `completions.complete`.
+    """Return the batch command that completes the samples of `inputs.find_samples`; see `completions.complete`.
 
-    `correction` is a file of `manifold calibrate`. The report is an index page; the reports of the specimens lie in
-    a folder beside it.
+    `correction` is a file of `manifold calibrate`. `report` is an index page; the reports of the samples lie in a
+    folder beside it.
     """
     how = {
         "library": Library(library).content_hash,
@@ -124,9 +124,9 @@ def _complete(
 
 
 def coats(library: Path, *, is_mixture: bool = False, options: OutputOptions) -> BatchCommand[ColourSample]:
-    """Make materials of the colours and gloss that `coat.read_colours` reads; see `coat.complete`.
+    """Return the batch command that makes materials of the colours of `coat.read_colours`; see `coat.complete`.
 
-    Mixtures combine the materials of the library; colours without a gloss are always completed by mixtures.
+    With `is_mixture`, and for colours without gloss, materials of the library are mixed instead of using a coat.
     """
     columns = placed(coat.Coated.columns(), PREDICTED, before=EXPECTED_BALL)
     how = {"library": Library(library).content_hash, "mixture": is_mixture, **asdict(options)}
@@ -137,7 +137,7 @@ def coats(library: Path, *, is_mixture: bool = False, options: OutputOptions) ->
 def surfaces(
     library: Path, *, size: int, targets: Sequence[str], mm_per_pixel: float | None = None
 ) -> BatchCommand[Sample]:
-    """Make surfaces of the samples that `inputs.find_samples` finds, of workbooks with pictures; see `make_surface`."""
+    """Return the batch command that makes surfaces of samples in workbooks with pictures; see `make_surface`."""
     columns = PREDICTED | SurfaceFiles.columns()
     require_textured(targets)
     settings: dict[str, Any] = {"size": size, "targets": list(targets), "mm_per_pixel": mm_per_pixel}
@@ -178,7 +178,7 @@ def _complete_colour(
 
 
 def import_outputs(outputs: Batch[Any], library: Path) -> None:
-    """Import the files of a batch into a library, in place of others of the same names."""
+    """Import the files of a batch into a library, replacing materials with the same names."""
     paths = [o.path for o in outputs.outcomes if o.failure is None]
     failed = import_files(library, paths, replace=True).failed if paths else {}
     if failed:
@@ -188,7 +188,7 @@ def import_outputs(outputs: Batch[Any], library: Path) -> None:
 def predictions_of(
     model: Path, *, library: Path | None = None, options: OutputOptions = DEFAULT_OPTIONS
 ) -> BatchCommand[Input]:
-    """Predict at the places of a model that `inputs.read_points` reads; see `predictions.predict`."""
+    """Return the batch command that predicts at the places of `inputs.read_points`; see `predictions.predict`."""
     loaded = load_model(model, library)
     suffix = "_rgb.bsdf" if loaded.bands.is_rgb else "_spec.bsdf"
     columns = _latent_columns(loaded.settings.latent_dim) | DiagnosedPrediction.columns()
@@ -206,7 +206,7 @@ def _predict(source: Input, path: Path, *, options: OutputOptions) -> Content:
 
 
 def locations(model: Path, *, library: Path | None, options: OutputOptions) -> BatchCommand[Input]:
-    """Find the latents of measured files, and write the predictions there; see `descriptions.locate`."""
+    """Return the batch command that locates measured files and writes the predictions; see `descriptions.locate`."""
     loaded = load_model(model, library)
     columns = _latent_columns(loaded.settings.latent_dim)
     columns |= placed(Located.columns(), MEASURED | PREDICTED, before=BALL_COLUMN)
@@ -237,7 +237,7 @@ def _locate(
 def reconstructions_of(
     library: Path, *, without: tuple[str, ...], numbers: int | None, options: OutputOptions
 ) -> BatchCommand[Input]:
-    """Reconstruct measured files from a library; see `descriptions.reconstruct`."""
+    """Return the batch command that reconstructs measured files; see `descriptions.reconstruct`."""
     columns = placed(Reconstruction.columns(), MEASURED | PREDICTED, before=BALL_COLUMN)
     used = {"library": Library(library).content_hash, "without": sorted(without), "numbers": numbers}
     make = partial(_reconstruct, library=library, without=without, numbers=numbers, options=options)
@@ -257,7 +257,7 @@ def _shown(reconstruction: Reconstruction, source: Input, path: Path) -> Content
 
 
 def conversions(to: str, *, correction: Path | None = None, options: Options) -> BatchCommand[Input]:
-    """Convert files, or every sample of those with several, into one of `CONVERTED`; see `conversion.convert`."""
+    """Return the batch command that converts files or samples to a format of `CONVERTED`; see `conversion.convert`."""
     target = CONVERTED[to]
     columns = placed(
         conversion.Conversion.columns(), appearance_columns("written") | LAB_UNDER, before="cube root"
@@ -282,9 +282,9 @@ def _convert(source: Input, path: Path, *, to: str, correction: Path | None, opt
 def renders(
     settings: RenderSettings, *, model: Path | None = None, library: Path | None = None, direct: bool = False
 ) -> BatchCommand[Input]:
-    """Render the balls of materials; see `pictures.renders.render`.
+    """Return the batch command that renders spheres of materials; see `pictures.renders.render`.
 
-    If the materials are places of a table, all have the same model and library, and no contact sheet is drawn.
+    If the materials are places of a table, `model` and `library` apply to all, and no contact sheet is drawn.
     `direct` evaluates predictions from their measured materials while rendering.
     """
     loaded = None if model is None else load_model(model, library)

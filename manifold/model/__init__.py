@@ -1,4 +1,4 @@
-"""The fitted manifold: places on the map, predictions, colours, walks, expected errors, its file."""
+"""The fitted manifold: places on its map, predictions, colours, walks, expected errors, and the model file."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Maps of blends fitted to materials: a layout by differences in appearance, and colour paths."""
+"""Fits maps of blends to materials: a layout by differences in appearance, and colour paths."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ class Appearance:
     """The values by which N materials are compared.
 
     Attributes:
-        lab: CIELAB of the pixels of their balls in the lights of fits, shape (N, K, 3).
-        logs: logarithms of their values, weighted, shape (N, D).
+        lab: CIELAB values of the pixels of rendered spheres in the lights of fits, shape (N, K, 3).
+        logs: weighted logarithms of the BRDF values, shape (N, D).
     """
 
     lab: Array
@@ -56,25 +56,25 @@ class Appearance:
         return len(self.lab)
 
     def subset(self, materials: Indices) -> Appearance:
-        """Return the values of some of the materials."""
+        """Return the values of some of the materials, given their indices (n,)."""
         return Appearance(self.lab[materials], self.logs[materials])
 
     @property
     def lightness(self) -> Array:
-        """Mean CIELAB lightness of the balls, shape (N,)."""
+        """Return the mean CIELAB lightness of the spheres, shape (N,)."""
         return np.asarray(self.lab[..., 0] @ _lights().pixel_weights / self.lab.shape[1])
 
     def compare(self, i: int, others: Indices) -> Array:
         """Return the differences of material i from others (n,), shape (2, n).
 
-        They are the mean CIEDE2000 between their balls, and the distance of their logarithms.
+        The rows are the mean CIEDE2000 between the rendered spheres, and the distance between the logarithms.
         """
         ball = delta_e_2000_lab(self.lab[others], self.lab[i]) @ _lights().pixel_weights / self.lab.shape[1]
         apart = self.logs[others].astype(np.float64) - self.logs[i]
         return np.stack([ball, np.sqrt(np.einsum("nd,nd->n", apart, apart))])
 
     def distances(self) -> AppearanceDistances:
-        """Return the differences of all pairs."""
+        """Return the differences between all pairs of materials."""
         N = len(self)
         found = np.zeros((2, N, N))
         for i in range(1, N):
@@ -96,9 +96,9 @@ class AppearanceDistances:
     """Appearance distances between N materials.
 
     Attributes:
-        ball: mean CIEDE2000 between their balls, shape (N, N).
-        shape: distance between the logarithms of their values, scaled to the median of `ball`, shape (N, N).
-        lightness: lightness of the balls, shape (N,).
+        ball: mean CIEDE2000 between the rendered spheres, shape (N, N).
+        shape: distance between the logarithms of the values, scaled to the median of `ball`, shape (N, N).
+        lightness: mean CIELAB lightness of the spheres, shape (N,).
         scale: factor by which distances of logarithms were multiplied to get `shape`.
     """
 
@@ -108,25 +108,26 @@ class AppearanceDistances:
     scale: float
 
     def subset(self, materials: Indices) -> AppearanceDistances:
-        """Return the distances between some of the materials."""
+        """Return the distances between some of the materials, given their indices (n,)."""
         rows = np.ix_(materials, materials)
         return AppearanceDistances(self.ball[rows], self.shape[rows], self.lightness[materials], self.scale)
 
     def layout(self, latent_dim: int) -> Array:
-        """Return the places of the materials in Q dimensions, (N, Q), in units of the kernel's length scale."""
+        """Return positions (N, Q) of the materials on a map of Q dimensions, in length scales of the kernel."""
         return scaled(blend_layout(_mixed(self.ball, self.shape), latent_dim), self.lightness)
 
 
 @dataclass(frozen=True, eq=False)
 class BlendSamples:
-    """Values of N materials in the bands that colour paths are made of.
+    """Samples of N materials: their values in the B_s bands from which colour paths are made.
 
     Attributes:
-        bands: which bands are samples, shape (B_s,).
+        bands: indices of the bands that are samples, shape (B_s,).
         roots: cube roots of the samples at the appearance pairs, shape (N B_s, P).
-        on_ball: cube roots of the samples at all pairs of the ball in the judged lights, shape (N B_s, P').
+        on_ball: cube roots of the samples at the direction pairs of spheres in the five test lights, shape (N B_s,
+            P').
         sphere, albedo: cube roots of the samples inside integrating spheres, with their measures; see `fit_paths`.
-        reflectances: of the materials in all bands, shape (N, B).
+        reflectances: reflectances of the materials in all bands, shape (N, B).
     """
 
     bands: Indices
@@ -137,11 +138,11 @@ class BlendSamples:
     reflectances: Array
 
     def rows(self, materials: Indices) -> Indices:
-        """Return the indices of the samples of materials (n,), shape (n B_s,)."""
+        """Return the row indices of the samples of materials (n,), shape (n B_s,)."""
         return sample_rows(materials, len(self.bands))
 
     def subset(self, materials: Indices) -> BlendSamples:
-        """Return the samples of some of the materials, (n,) indices."""
+        """Return the samples of some of the materials, given their indices (n,)."""
         rows, (inside, measure) = self.rows(materials), self.sphere
         albedo = [(values[rows], measure) for values, measure in self.albedo]
         return BlendSamples(
@@ -154,7 +155,7 @@ class BlendSamples:
         )
 
     def paths(self, landmarks: Indices | None = None) -> ColourPaths:
-        """Return colour paths made of a material's own samples and those of landmarks, by default of all materials."""
+        """Return colour paths, each made of the material's own samples and the samples of landmarks, by default all."""
         cosines = encoding_pairs().cosines
         return fit_paths(
             self.roots[:, : len(cosines)], cosines, len(self.bands), self.sphere, self.albedo, landmarks
@@ -164,9 +165,9 @@ class BlendSamples:
 def evaluate(
     materials: Iterable[MeasuredBRDF], bands: Indices, is_isotropic: bool
 ) -> tuple[Appearance, BlendSamples]:
-    """Return the values to which maps of blends are fitted, from one material after another.
+    """Return the values to which a map of blends is fitted; materials are read one after another.
 
-    `bands` (B_s,) become samples.
+    `bands` (B_s,) are the indices of the bands that become samples.
     """
     white, grid, looks, lights = (
         srgb_to_xyz(np.ones(3)),
@@ -205,24 +206,27 @@ def evaluate(
 
 @dataclass(frozen=True, eq=False)
 class BlendTables:
-    """Distances and samples of N materials, to some or all of which maps of blends are fitted."""
+    """Distances and samples of N materials, for fitting maps of blends to all or some of them."""
 
     distances: AppearanceDistances
     samples: BlendSamples
 
     @classmethod
     def of(cls, materials: Sequence[MeasuredBRDF], bands: Indices) -> BlendTables:
-        """Evaluate materials; `bands` (B_s,) become samples."""
+        """Evaluate the distances and samples of materials.
+
+        `bands` (B_s,) are the indices of the bands that become samples.
+        """
         read = progress.each(materials, "appearance")
         appearance, samples = evaluate(read, bands, all_isotropic(materials))
         return cls(appearance.distances(), samples)
 
     def subset(self, materials: Indices) -> BlendTables:
-        """Return the tables of some of the materials, (n,) indices."""
+        """Return the tables of some of the materials, given their indices (n,)."""
         return BlendTables(self.distances.subset(materials), self.samples.subset(materials))
 
     def fit(self, latent_dim: int, kernel: Kernel) -> BlendSpace:
-        """Return the map of the materials."""
+        """Fit a map of `latent_dim` dimensions to the materials and return it."""
         s = self.samples
         return BlendSpace(self.distances.layout(latent_dim), s.paths(), s.bands, s.reflectances, kernel)
 
@@ -230,7 +234,7 @@ class BlendTables:
 def fit_landmarks(
     appearance: Appearance, samples: BlendSamples, count: int, latent_dim: int, kernel: Kernel,
 ) -> BlendSpace:  # fmt: skip
-    """Return the map of N materials by `count` landmarks, at a cost linear in N."""
+    """Fit a map to N materials through `count` landmarks and return it; the cost is linear in N."""
     N, everything = len(appearance), np.arange(len(appearance))
     compared = {}
     scale = appearance.subset(evenly_spaced(N, count)).distances().scale

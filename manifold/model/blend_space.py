@@ -37,18 +37,19 @@ _ENDS, _SPARSE = ("dark", "bright"), ("_data", "_indices", "_indptr")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BlendSpace(LatentSpace):
-    """Latent space of kind `blend`: predictions are non-negative blends of materials.
+    """The latent space of kind `blend`, whose predictions are non-negative combinations of materials.
 
-    They have the materials' own colours, or given ones.
+    Predictions have colours blended from the materials, or given colours.
 
     Attributes:
-        X: places of the materials, in length scales, shape (N, Q).
-        paths: of every material from black to white, for chosen colours.
-        bands: which bands are the samples of the paths, increasing, shape (B_s,).
-        reflectances: of the materials at 8 degrees, specular included, shape (N, B).
-        kernel: tells how far the data reach.
-        landmarks: on whose map all others were located, increasing or not, shape (M,); None where all were laid out.
-        signatures: coordinates by which materials like another one are found, shape (N, r); None without landmarks.
+        X: latents of the materials, in length scales, shape (N, Q).
+        paths: colour path of every material from black to white, for given colours.
+        bands: indices of the bands that are samples of the paths, increasing, shape (B_s,).
+        reflectances: reflectances of the materials at 8 degrees, specular included, shape (N, B).
+        kernel: covariance function that determines how far from the materials predictions are supported.
+        landmarks: indices of the materials on whose map all others were located, in any order, shape (M,); None if
+            all materials were laid out together.
+        signatures: coordinates by which similar materials are found, shape (N, r); None without landmarks.
     """
 
     X: Array
@@ -82,7 +83,7 @@ class BlendSpace(LatentSpace):
     def from_arrays(cls, stored: Mapping[str, Array], kernel: Kernel, n_bands: int) -> BlendSpace:
         """Restore the space from a file's arrays.
 
-        Raises ValueError if they do not fit each other or the number of bands.
+        Raises ValueError if the arrays have shapes that do not fit each other or the number of bands.
         """
         X, bands = stored["X"], require_bands(stored, n_bands)
         N, n = len(X), len(X) * len(bands)
@@ -107,42 +108,53 @@ class BlendSpace(LatentSpace):
         return cls(X, paths, bands, reflectances, kernel, landmarks, signatures)
 
     def subset(self, materials: Indices, length_scale: float = 1.0) -> BlendSpace:
-        """Return the map of some of its materials, (n,) indices, all of them laid out, with another length scale."""
+        """Return a map of some of the materials (n,) at their latents, without landmarks.
+
+        `length_scale` is a factor by which the kernel's length scale is multiplied.
+        """
         kernel = replace(self.kernel, length_scale=self.kernel.length_scale * length_scale)
         paths, reflectances = self.paths.subset(materials), self.reflectances[materials]
         return BlendSpace(self.X[materials], paths, self.bands, reflectances, kernel)
 
     @cached_property
     def of_landmarks(self) -> BlendSpace:
-        """The map of the landmarks, whose blends reach as far as their distances; the whole map without landmarks."""
+        """Return the map of the landmarks, with a length scale that suits their distances.
+
+        A map without landmarks is returned itself.
+        """
         if self.landmarks is None:
             return self
         return self.subset(self.landmarks, (len(self.X) / len(self.landmarks)) ** (1.0 / self.X.shape[1]))
 
     @cached_property
     def gp(self) -> GaussianProcess:
-        """The process of the materials, or of the landmarks: of thousands of materials it would cost the cube."""
+        """Return the Gaussian process of the materials or, to bound its cubic cost, of the landmarks."""
         return super().gp if self.landmarks is None else self.of_landmarks.gp
 
     def around(self, x: Array) -> tuple[Indices, BlendSpace] | None:
-        """Return the neighbours of x (Q,) with the landmarks, of which colour paths are made, and their space."""
+        """Return the indices of the materials near x (Q,) and of the landmarks, and the map of only these.
+
+        Predictions at x depend on no other materials: colour paths are made of the landmarks' samples. None without
+        landmarks.
+        """
         if self.landmarks is None:
             return None
         materials = np.union1d(self.landmarks, self.neighbours(x, NEIGHBOURS + 1))
         return materials, self.subset(materials)
 
     def neighbours(self, x: Array, count: int) -> Indices:
-        """Return the materials nearest to x (Q,), nearest first, shape (count,) or (N,)."""
+        """Return the indices of the `count` materials nearest to x (Q,), nearest first, or of all."""
         return np.argsort(np.sum((self.X - x) ** 2, axis=1), kind="stable")[:count]
 
     def printed(self, x: Array) -> tuple[str, ...]:
-        """Return the coordinates of a place (Q,) with three decimals, which reproduce its continuous prediction."""
+        """Return the coordinates of a place (Q,) as text; three decimals suffice to reproduce its prediction."""
         return tuple(f"{v:.3f}" for v in x)
 
     def weights(self, x: Array, colours: Array | None) -> Array:
-        """Return the weights of materials at x (Q,), shape (N,).
+        """Return the weights of a prediction at x (Q,).
 
-        In chosen colours they are the weights of samples, shape (B, N B_s).
+        They are weights of materials, shape (N,), or with given colours, weights of samples in every band, shape (B,
+        N B_s).
         """
         u = self.material_weights(x[None], None)[0]
         if colours is None:
@@ -151,58 +163,61 @@ class BlendSpace(LatentSpace):
         return self.paths.weights(u, coordinates) * np.reshape(gains, (-1, 1))
 
     def combination(self, x: Array, colours: Array | None, mapping: ValueMapping) -> Combination:
-        """Return the weighted sum of a prediction at x (Q,).
-
-        It sums whole materials, or single bands in chosen colours.
-        """
+        """Return the prediction at x (Q,) as a weighted sum of materials or, with given colours, of single bands."""
         k = self.training_index(x, colours)
         if k is not None:
             return Combination(mapping, np.eye(len(self.X))[k])
         return Combination(mapping, self.weights(x, colours), None if colours is None else self.bands)
 
     def material_weights(self, X: Array, colours: Array | None) -> Array:
-        """Return the shares of the materials at places X (M, Q), in any colours, shape (M, N)."""
+        """Return the weights of the materials at latents X (M, Q), shape (M, N); they do not depend on the colours."""
         return blend_weights(X, self.X, self.kernel.length_scale)
 
     def weights_without(self, i: int, x: Array) -> Array:
-        """Return the shares of the materials at x (Q,) if material i is left out, shape (N,)."""
+        """Return the weights of the materials at x (Q,) if material i is left out, shape (N,)."""
         others = np.delete(np.arange(len(self.X)), i)
         u = np.zeros(len(self.X))
         u[others] = blend_weights(x[None], self.X[others], self.kernel.length_scale)[0]
         return u
 
     def training_index(self, x: Array, colours: Array | None) -> int | None:
-        """Return the material at x (Q,) if the colours are its own, else None."""
+        """Return the index of the material at x (Q,) if the colours are its own, otherwise None."""
         k = int(first_equal_row(x[None], self.X)[0])
         is_own = colours is None or np.array_equal(colours, self.own_colours[k])
         return k if k >= 0 and is_own else None
 
     def reflectance_of(self, x: Array, colours: Array, decoder: Decoder, measure: Array) -> Array:
-        """Return the reflectance (B,) of a place x (Q,) in colours, by a measure (P,) of the decoder's outputs."""
+        """Return the reflectance (B,) of the prediction at x (Q,) with given colours.
+
+        `measure` (P,) integrates the decoder's outputs to a reflectance.
+        """
         return (self.weights(x, colours) @ decoder.mapped) ** 3 @ measure
 
     def colours_of(
         self, x: Array, reflectance: Array, decoder: Decoder, measure: Array
     ) -> tuple[Array, Array]:
-        """Return coordinates (B,) at which a place x (Q,) has a reflectance (B,), and the reflectance reached, (B,)."""
+        """Return the colour coordinates (B,) for a reflectance (B,) at x (Q,), and the reflectance reached (B,)."""
         u = self.material_weights(x[None], None)[0]
         return self.paths.coordinates_of(u, reflectance, decoder.mapped, measure)
 
     @cached_property
     def own_colours(self) -> Array:  # type: ignore[override]
-        """Coordinates of the materials' own reflectances, shape (N, B)."""
+        """Return the colour coordinates of the materials' own reflectances, shape (N, B)."""
         return np.cbrt(np.maximum(self.reflectances, 0.0))
 
     def embedding_bands(self, n_bands: int) -> Indices:
-        """Return the bands whose values are compared to find a place: the samples of the paths."""
+        """Return the indices of the bands that are compared to locate a material: the samples of the paths."""
         return self.bands
 
     def embedding_pairs(self, is_isotropic: bool = True) -> Pairs:
-        """Return the direction pairs of the encoding grid and of a ball's light."""
+        """Return the direction pairs of the encoding grid and of a lit sphere."""
         return appearance_pairs(is_isotropic)
 
     def embed(self, decoder: Decoder, f: Array, settings: Settings) -> Embedded:
-        """Place, coordinates and gains of a material with values f (B, P) in all bands, by the cube-root error."""
+        """Locate a material with values f (B, P) in all bands: return its latent, colour coordinates and gains.
+
+        The search minimises the cube-root error.
+        """
         samples, n_grid = decoder.mapped, len(encoding_pairs())
         search = PlaceSearch(self, samples, appearance_weight(samples))
         x, colours, residual = search.find(np.cbrt(np.maximum(f, 0.0)), self.bands)
@@ -213,9 +228,9 @@ class BlendSpace(LatentSpace):
     def left_out_search(
         self, table: MaterialTable, materials: MaterialCache, settings: Settings
     ) -> LeftOutSearch:
-        """Return a search that locates each material from the others.
+        """Return a function that locates each material among the others.
 
-        It keeps colour paths that contain the material's own samples.
+        The colour paths stay as they are, even if they contain samples of the left-out material.
         """
         N, B, pairs = len(self.X), len(self.bands), self.embedding_pairs(materials.is_isotropic)
         at = np.searchsorted(table.bands, self.bands)
@@ -234,25 +249,26 @@ class BlendSpace(LatentSpace):
 
 
 def require_blends(space: LatentSpace) -> BlendSpace:
-    """Return the space of a map of blends. Raises UsageError for a map of another kind."""
+    """Return `space` if it is of kind `blend`. Raises UsageError for another kind."""
     if not isinstance(space, BlendSpace):
         raise UsageError(f"a map of kind {space.kind}, expected blend: embed the library with that kind")
     return space
 
 
 class Rows(Protocol):
-    """Rows of a table (n, P), which may be read on demand."""
+    """A table (n, P) whose rows may be read on demand."""
 
     def __getitem__(self, rows: Indices) -> Array:
         """Return rows (m, P) by their indices (m,)."""
 
 
 class PlaceSearch:
-    """Finds the place, and per band the path coordinate and gain, at which a blend is nearest to a material.
+    """Finds the latent at which a blend is nearest to a material, with a colour coordinate and a gain per band.
 
-    Path coordinates are tried on a grid, and at the materials also those of their own colours. Samples are cube roots
-    (n, P), errors at direction pairs weighted (P,) before squaring; by default targets have all bands of the space, and
-    all materials are candidates (N',).
+    Colour coordinates are tried on a grid; at the materials, their own colours are tried as well. `samples` are cube
+    roots (n, P), and `weight` (P,) multiplies errors at direction pairs before they are squared. `target_bands` are
+    the bands of the targets, by default all, and `candidates` the materials among which the search runs, by default
+    all.
     """
 
     def __init__(
@@ -284,10 +300,10 @@ class PlaceSearch:
         self._gram = np.stack([self._on_grid(rows, k) for k, rows in enumerate(of_rows)])  # [K, N', N']
 
     def find(self, target: Array, bands: Indices, without: int | None = None) -> tuple[Array, Array, float]:
-        """Place (Q,), path coordinates and gains of all bands, (2, B), and the relative residual of cube roots.
+        """Locate a target; return its latent (Q,), colour coordinates and gains (2, B), and cube-root residual.
 
-        The target is cube roots of the material in all bands, (B, P), of which `bands` are those of the samples, which
-        serve to find the place. The candidate `without` is left out.
+        `target` (B, P) holds cube roots of the material in all bands. The latent is found from the sample bands,
+        whose indices are `bands`. The candidate `without` is left out.
         """
         weighted, used, found = self._of(target, without)
         norm = float(np.sum(weighted[bands] ** 2))
@@ -310,7 +326,7 @@ class PlaceSearch:
         return self._X[material], np.stack([self._own_colours[material], gains]), relative
 
     def first_place(self, target: Array, bands: Indices, without: int | None) -> Array:
-        """Return the best of the places (Q,) that `find` starts from; the arguments are those of `find`."""
+        """Return the best of the latents (Q,) from which `find` starts; the arguments are those of `find`."""
         weighted, _, found = self._of(target, without)
         return found.starts(bands, float(np.sum(weighted[bands] ** 2)))[0]
 

@@ -1,8 +1,9 @@
-"""Blends: weights that are never negative, sum to 1, and are a unit vector at each sample; their layout.
+"""Computes the weights of blends, and the layout of the samples that blends need.
 
-A Gaussian process interpolates with weights of alternating sign, which cause dark holes in highlights. The values of a
-blend lie between those of the surrounding materials, and change as smoothly as its weights. It needs a layout in which
-neighbours look alike, and materials that look alike are neighbours.
+The weights are never negative, sum to 1, and are a unit vector at each sample. A Gaussian process interpolates with
+weights of alternating sign, which cause dark rings in highlights. The values of a blend lie between the values of the
+surrounding materials and change as smoothly as the weights. Blending needs a layout in which neighbours look alike,
+and materials that look alike are neighbours.
 """
 
 from __future__ import annotations
@@ -17,12 +18,12 @@ from manifold.gp.kernels import squared_distances
 from manifold.gp.likelihood import fix_gauge
 
 NEIGHBOURS = 128
-"""Number of nearest samples among which a blend finds its weights."""
+"""Number of nearest samples that can have a weight in a blend."""
 
 NEGLIGIBLE = 3e-4
-"""Weights up to this share of the largest are set to 0, and cost no look-up.
+"""Share of the largest weight below which weights are set to 0 to save evaluations.
 
-All of them together change a ball by less than a tenth of a visible difference, in every light
+Together these weights change a rendered sphere by less than a tenth of a visible difference in every light
 (tests/model/test_model.py).
 """
 
@@ -31,9 +32,9 @@ PERPLEXITY = 10.0
 
 _LEAST_PERPLEXITY = 3.0  # with fewer, groups of few samples drift apart without end
 START_NOISE = 1e-3
-"""Noise of the starts of a layout, in standard deviations: copies get different places.
+"""Noise added to the starting positions of a layout, in standard deviations.
 
-It also takes a layout off a line, on which exaggerated attraction can leave it, and where the slope across is zero.
+It separates identical samples, and samples that lie on a line, where the gradient across the line is zero.
 """
 
 _FREEDOM = 3.0
@@ -55,10 +56,11 @@ _TIGHT = {"maxiter": 2000, "maxfun": 10000, "ftol": 1e-13, "gtol": 1e-9, "maxcor
 
 
 def blend_weights(x: Array, X: Array, length_scale: float = 1.0) -> Array:
-    """Return the weights u of samples X (N, Q) at places x (M, Q), never negative and with sum 1, shape (M, N).
+    """Return the weights u of samples X (N, Q) at places x (M, Q), shape (M, N); they are never negative and sum to 1.
 
-    `u_i ~ exp(-d_i^2 / (2 l^2)) / d_i^2`: a unit vector at a sample, continuous, with a slope of 0 at the samples. Of
-    more than `NEIGHBOURS` samples only the nearest have a weight, less that of the next one.
+    `u_i ~ exp(-d_i^2 / (2 l^2)) / d_i^2`. The weights are continuous, and at a sample a unit vector with slope 0.
+    Only the `NEIGHBOURS` nearest samples have a weight; the weight of the next one is subtracted to keep them
+    continuous.
     Source: Shepard 1968, with the squared exponential in place of his cut-off.
     """
     if len(X) <= NEIGHBOURS:
@@ -88,12 +90,12 @@ def _weights(squared: Array, *, is_cut: bool = False) -> Array:
 
 
 def nearest_distance(x: Array, X: Array) -> Array:
-    """Return the distances of places x (M, Q) from the nearest of the samples X (N, Q), shape (M,)."""
+    """Return the distance of each place x (M, Q) from the nearest of the samples X (N, Q), shape (M,)."""
     return np.sqrt(_nearest(x, X, 1)[0][:, 0])
 
 
 def widest_gap(X: Array) -> float:
-    """Return the largest distance of a sample of X (N, Q) from its nearest other one; infinity for a single sample."""
+    """Return the largest distance of a sample of X (N, Q) from its nearest neighbour; infinity for a single sample."""
     return float(_gaps(X).max())
 
 
@@ -117,11 +119,11 @@ def _nearest(x: Array, X: Array, count: int) -> tuple[Array, Indices]:
 
 
 def blend_layout(distance: Array, n_components: int) -> Array:
-    """Return places (N, Q) of N samples whose distances are (N, N), for `scaled`.
+    """Return positions (N, Q) of N samples from their distances (N, N); `scaled` brings them to the final scale.
 
-    Minimises the divergence `sum p_ij log(p_ij / q_ij)` of the similarities q of places from the affinities p of
-    samples: q_ij ~ (1 + d_ij^2 / 3)^-2. The search starts at principal coordinates, with exaggerated attraction, and
-    ends at a minimum: rounding does not change the map.
+    It minimises the divergence `sum p_ij log(p_ij / q_ij)` between the affinities p of the samples and the
+    similarities q of their positions, q_ij ~ (1 + d_ij^2 / 3)^-2. The search starts at principal coordinates with
+    exaggerated attraction and ends at a minimum, so that rounding does not change the map.
     Source: van der Maaten & Hinton 2008 (t-SNE), van der Maaten 2009 for the degrees of freedom, Torgerson 1952 for
     the start.
     """
@@ -140,10 +142,10 @@ def blend_layout(distance: Array, n_components: int) -> Array:
 
 
 def affinities(distance: Array) -> Array:
-    """Return the shares (N, n) of the attraction of N samples by others at distances (N, n), which sum to 1 in a row.
+    """Return the affinities (N, n) of N samples to others at distances (N, n); each row sums to 1.
 
-    They fall as the square of the distance in Gaussians, whose widths give each row the same perplexity: where samples
-    are dense they are narrow, and near copies do not outweigh the other neighbours.
+    They are Gaussians of the squared distance, whose widths give each row the same perplexity. Where samples are
+    dense, the Gaussians are narrow, and near copies do not outweigh the other neighbours.
     """
     N, n = distance.shape
     entropy = np.log(min(PERPLEXITY, max((N - 1) / 3.0, _LEAST_PERPLEXITY), n))
@@ -163,10 +165,10 @@ def affinities(distance: Array) -> Array:
 
 
 class LayoutObjective:
-    """The divergence of a layout of N samples from affinities, less their entropy, and its gradient.
+    """The divergence between affinities and a layout of N samples, without the constant entropy term, and its gradient.
 
-    Samples are attracted by others (N, n), by affinities (N, n), and repelled by some of all, (M,), which stand for a
-    number of samples each, (M,).
+    Each sample is attracted by others, with indices (N, n) and affinities (N, n). It is repelled by M samples, with
+    indices (M,), each of which represents a number of samples, (M,).
     """
 
     def __init__(self, others: Indices, affinity: Array, repelling: Indices, stand_for: Array) -> None:
@@ -176,7 +178,7 @@ class LayoutObjective:
         self._repelling, self._stand_for = repelling, stand_for
 
     def value(self, X: Array, exaggeration: float = 1.0) -> tuple[float, Array]:
-        """Return the objective at places X (N, Q), and its gradient."""
+        """Return the objective at positions X (N, Q), and its gradient."""
         power = 0.5 * (_FREEDOM + 1.0)
         D = X[self._i] - X[self._j]
         near = 1.0 + np.sum(D * D, axis=1) / _FREEDOM
@@ -193,7 +195,7 @@ class LayoutObjective:
         return value + float(np.log(total)), gradient
 
     def minimise(self, start: Array, exaggeration: float = 1.0, limits: dict[str, float] = _TIGHT) -> Array:
-        """Return places (N, Q) at a minimum near the start."""
+        """Return the positions (N, Q) of a minimum near the start (N, Q)."""
 
         def flat(z: Array) -> tuple[float, Array]:
             value, gradient = self.value(z.reshape(start.shape), exaggeration)
@@ -204,11 +206,10 @@ class LayoutObjective:
 
 
 def scaled(X: Array, lightness: Array) -> Array:
-    """Return places X (N, Q) centred, in length scales of `blend_weights`, turned so that they can be read.
+    """Return positions X (N, Q) centred, turned to readable axes, and scaled to length scales of `blend_weights`.
 
-    The last axis is the direction in which the lightness (N,) increases most; the others are principal axes across it,
-    each with its longer tail positive. A kernel of length scale 1 spans about the side of a sample's share of the hull,
-    and reaches neighbours.
+    The last axis is the direction in which the lightness (N,) increases most. The others are the principal axes
+    perpendicular to it, each with its longer tail positive. See `kernel_radius` for the length scale.
     """
     X = X - X.mean(axis=0)
     upwards = np.linalg.lstsq(X, lightness - lightness.mean())[0]
@@ -220,7 +221,7 @@ def scaled(X: Array, lightness: Array) -> Array:
 
 
 def add_rows(index: Indices, rows: Array, count: int) -> Array:
-    """Sum rows (R, Q) by their index (R,), shape (count, Q)."""
+    """Add up the rows (R, Q) that have the same index (R,); return the sums, shape (count, Q)."""
     return np.stack([np.bincount(index, column, count) for column in rows.T], axis=1)
 
 
@@ -236,10 +237,9 @@ def _principal_coordinates(distance: Array, n_components: int) -> Array:
 
 
 def kernel_radius(X: Array) -> float:
-    """Return the kernel's length scale: about the side of a sample's share of the convex hull's volume.
+    """Return a length scale: about the side of a cube whose volume is the convex hull's volume per sample.
 
-    It is no less than the distance to neighbours, since otherwise blends would be copies of the nearest
-    sample.
+    It is at least the distance between neighbours, because otherwise blends would be copies of the nearest sample.
     """
     N, Q = X.shape
     extent = np.ptp(X, axis=0)

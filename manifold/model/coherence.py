@@ -1,4 +1,4 @@
-"""The coherence of a map: whether predictions between two similar materials lie between them in appearance."""
+"""Measures the coherence of a map: whether predictions between two similar materials look like both of them."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from manifold.core.names import percent
 from manifold.core.records import Array, Indices, evenly_spaced
 
 NEIGHBOURS_COMPARED = 5
-"""Number of most similar materials that are looked for on the map."""
+"""Number of most similar materials that should be nearest on the map."""
 
 LEAST_APART = 1.0
-"""CIEDE2000 below which two materials look alike, and nothing lies between them."""
+"""CIEDE2000 below which two materials look alike, so that no detour is measured between them."""
 
 FAR = 1.5
-"""Detour above which a place does not lie between its two materials."""
+"""Detour above which a prediction does not lie between its two materials."""
 
 LOST = 0.25
-"""Share of kept neighbours below which a map is not to be trusted between its materials."""
+"""Share of kept neighbours below which predictions between materials should not be trusted."""
 
 _MEASURED = 200  # materials from which detours are measured, at most
 _PIXELS = 8  # every so many serve to find the most similar materials
@@ -32,12 +32,12 @@ _PIXELS = 8  # every so many serve to find the most similar materials
 
 @dataclass(frozen=True)
 class Pair:
-    """A material and the one that looks most like it, by their indices.
+    """The indices of a material and of the material that looks most like it.
 
     Attributes:
-        difference: CIEDE2000 between their balls, mean over the judged lights.
-        detour: sum of the differences of the prediction halfway from both materials, over `difference`; 1 if it lies
-            between.
+        difference: mean CIEDE2000 between their rendered spheres, over the five test lights.
+        detour: differences of the prediction halfway from both materials, added and divided by `difference`; 1 if the
+            prediction lies between them.
     """
 
     first: int
@@ -48,10 +48,10 @@ class Pair:
 
 @dataclass(frozen=True)
 class Coherence:
-    """How far a map keeps similar materials together.
+    """How well a map keeps similar materials together.
 
     Attributes:
-        detour, detour_p90: median and 90th percentile of `Pair.detour` over materials; 1 lies between.
+        detour, detour_p90: median and 90th percentile of `Pair.detour` over the materials; 1 is ideal.
         detour_far: share of the materials with a detour above 1.5.
         neighbours_kept: share of the five most similar materials that are among the five nearest on the map.
     """
@@ -63,7 +63,7 @@ class Coherence:
 
     @classmethod
     def from_statistics(cls, statistics: dict[str, float]) -> Coherence | None:
-        """Restore the measures from the statistics of a fit; None if it has none."""
+        """Restore the measures from the statistics of a fit; None if they are not among the statistics."""
         try:
             return cls(*(statistics[name] for name in cls.__dataclass_fields__))
         except KeyError:
@@ -71,12 +71,12 @@ class Coherence:
 
     @property
     def statistics(self) -> dict[str, float]:
-        """Return the measures by name, as they are stored in the model."""
+        """Return the measures by name, as the model file stores them."""
         return asdict(self)
 
     @property
     def words(self) -> tuple[str, str]:
-        """Detour and kept neighbours, as lines for a terminal."""
+        """Return the detour and the kept neighbours, each as a line of text."""
         return (
             f"{self.detour:.2f}, 90th percentile {self.detour_p90:.2f} (1: the prediction halfway to the most similar "
             f"material lies between the two), above {FAR} for {percent(self.detour_far)} of the materials",
@@ -86,7 +86,7 @@ class Coherence:
 
     @property
     def warning(self) -> str | None:
-        """A diagnostic if the map loses most neighbours, else None."""
+        """Return a diagnostic if the map separates most similar materials, otherwise None."""
         if self.neighbours_kept >= LOST:
             return None
         return (
@@ -98,10 +98,10 @@ class Coherence:
 def measure_coherence(
     X: Array, ball: Callable[[int], Array], predict: Callable[[Array], Array]
 ) -> tuple[Coherence | None, list[Pair]]:
-    """Return the coherence of a map of N materials at X (N, Q), and its pairs of similar materials.
+    """Return the coherence of a map of N materials at latents X (N, Q), and its pairs of similar materials.
 
-    `ball` returns CIE XYZ (K, 3) of a material in the judged lights, `predict` those of a place (Q,). The coherence is
-    None if all materials look alike.
+    `ball` returns the CIE XYZ values (K, 3) of a material's rendered sphere in the five test lights, and `predict`
+    returns them for the prediction at a latent (Q,). The coherence is None if all materials look alike.
     """
     lights, pairs, kept = panel.judged(), list[Pair](), list[float]()
     count = min(NEIGHBOURS_COMPARED, len(X) - 1)
@@ -129,9 +129,9 @@ def measure_coherence(
 def most_similar(
     ball: Callable[[int], Array], of: int, count: int, materials: Iterable[int]
 ) -> Iterator[tuple[int, Indices]]:
-    """Yield some `of` all materials, each with the `count` others that look most like it, the most similar first.
+    """Yield each of `materials` with the `count` most similar ones of all `of` materials, most similar first.
 
-    `ball` returns CIE XYZ (K, 3) of a material in the judged lights.
+    `ball` returns the CIE XYZ values (K, 3) of a material's rendered sphere in the five test lights.
     """
     white, (some, chosen) = srgb_to_xyz(np.ones(3)), panel.judged().every(_PIXELS)
     lab = np.stack([to_lab(xyz[chosen], white).astype(np.float32) for xyz in map(ball, range(of))])
@@ -145,7 +145,7 @@ def _others(materials: Indices, i: int) -> Indices:
 
 
 def typical_pair(pairs: Sequence[Pair]) -> Pair:
-    """Return the pair of materials to show: mutually most similar, and of the median difference of such pairs."""
+    """Return, of all pairs that are mutually most similar, the pair with the median difference."""
     both = {(pair.first, pair.second) for pair in pairs}
     mutual = [p for p in pairs if p.first < p.second and (p.second, p.first) in both]
     ordered = sorted(mutual or pairs, key=lambda pair: (pair.difference, pair.first))

@@ -1,9 +1,10 @@
-"""Colours with non-negative weights: a path from black to white for every material.
+"""Gives materials other colours with non-negative weights, along a path from black to white for every material.
 
-A vertex of a path is a set of weights over monochrome samples (single bands of materials, in cube roots) and their
-reflectance. A material's own bands are vertices, in the order of their reflectance. Towards black, its Lambertian part
-vanishes first and its highlight last; towards white, a Lambertian part is added, or, where there is none, all values
-grow. Vertices that are no measured band are approximated by non-negative combinations of all bands.
+A sample is a single band of a material, in cube roots. A vertex of a path is a set of weights of samples, and the
+reflectance of their combination. A material's own bands are vertices, in the order of their reflectance. Towards
+black, its Lambertian part vanishes first and its highlight last; towards white, a Lambertian part is added, or, for a
+material without one, all values grow. Vertices that are not measured bands are approximated by non-negative
+combinations of all bands.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from manifold.core.records import Array, Indices
 from manifold.gp.nonnegative import nonnegative_weights
 
 WHITE = 0.9
-"""Reflectance at which paths end, unless their albedo would exceed 1."""
+"""Reflectance at the white end of a path, unless the albedo would exceed 1."""
 
 _BODY_QUANTILE = 0.05  # quantile of the values above the horizon: the Lambertian part
 _LEAST_STEP = 1e-4  # least step between the coordinates of vertices
@@ -31,14 +32,12 @@ _NEWTON_STEPS, _LARGEST_STEP, _PROBE = 2, 0.02, 1e-3
 
 @dataclass(frozen=True, eq=False)
 class ColourPaths:
-    """Paths of N materials over n samples.
+    """The colour paths of N materials over n samples; the coordinate along a path is the cube root of the reflectance.
 
     Attributes:
         dark, bright: weights of the vertices below the darkest and above the brightest band, sparse, shape (N, n).
-        dark_coordinate, bright_coordinate: cube roots of their reflectance, (N,); 0 where there is no such vertex.
-        reflectances: of the samples, (n,), material by material.
-
-    The coordinate of a path is the cube root of its reflectance.
+        dark_coordinate, bright_coordinate: coordinates of these vertices, shape (N,); 0 if a path has no such vertex.
+        reflectances: reflectances of the samples, material by material, shape (n,).
     """
 
     dark: scipy.sparse.csr_array
@@ -49,22 +48,22 @@ class ColourPaths:
 
     @cached_property
     def vertices(self) -> list[tuple[Array, Indices, Array]]:
-        """Return the vertices of every path.
+        """Return the V vertices of every path: their coordinates (V,), black first, and weights (V, c) of c samples.
 
-        They are coordinates (V,), black first, the samples it is made of, (c,), and their weights (V, c).
+        Each item is `(coordinates, samples, weights)`, where `samples` (c,) are the indices of the samples.
         """
         N = len(self.dark_coordinate)
         return [self._path(i, len(self.reflectances) // N) for i in range(N)]
 
     @cached_property
     def last(self) -> float:
-        """The largest coordinate of any path."""
+        """Return the largest coordinate of any path."""
         return max(float(coordinates[-1]) for coordinates, _, _ in self.vertices)
 
     def weights(self, u: Array, coordinates: Array) -> Array:
-        """Return the weights of samples for materials blended by u (N,), shape (B, n).
+        """Return the weights of the samples, shape (B, n), for a blend of materials with weights u (N,).
 
-        Coordinates are (B,), or (N, B) if each material has its own.
+        `coordinates` is (B,), or (N, B) if each material has its own colour.
         """
         total = np.zeros((coordinates.shape[-1], len(self.reflectances)))
         each = np.broadcast_to(coordinates, (len(u), coordinates.shape[-1]))
@@ -74,7 +73,7 @@ class ColourPaths:
         return total
 
     def subset(self, materials: Indices) -> ColourPaths:
-        """Return the paths of some materials (N',), made of these materials' samples only."""
+        """Return the paths of some materials (N',), made only of the samples of these materials."""
         samples = sample_rows(materials, len(self.reflectances) // len(self.dark_coordinate))
         dark, bright = (rows[materials][:, samples] for rows in (self.dark, self.bright))
         ends = (self.dark_coordinate[materials], self.bright_coordinate[materials])
@@ -83,9 +82,10 @@ class ColourPaths:
     def coordinates_of(
         self, u: Array, reflectance: Array, samples: Array, measure: Array
     ) -> tuple[Array, Array]:
-        """Return coordinates (B,) at which a blend u (N,) has a reflectance (B,), and the reflectance reached, (B,).
+        """Return the coordinates (B,) at which a blend u (N,) has a reflectance (B,), and the reflectance reached (B,).
 
-        `samples` are cube roots (n, P) inside an integrating sphere, `measure` (P,) weighs values there.
+        `samples` are cube roots (n, P) at the direction pairs of an integrating sphere; `measure` (P,) integrates
+        values there.
         """
 
         def reached(at: Array) -> Array:
@@ -156,11 +156,15 @@ def fit_paths(
     albedo: Sequence[tuple[Array, Array]],
     landmarks: Indices | None = None,
 ) -> ColourPaths:
-    """Return paths from cube roots (n, P) of samples, material by material, and cosines (P,) of the direction pairs.
+    """Fit the colour paths of materials and return them.
 
-    `sphere` is samples (n, P') inside an integrating sphere, and its measure (P',); `albedo` the same at several
-    incidences: no path ends above an albedo of 1. Paths are made of the samples of `landmarks`, by default all, and of
-    a material's own.
+    Args:
+        samples: cube roots of the samples at direction pairs, material by material, shape (n, P).
+        cosines: cosines of the direction pairs, shape (P,).
+        n_bands: number of samples per material.
+        sphere: samples (n, P') at the direction pairs of an integrating sphere, and its measure (P',).
+        albedo: like `sphere`, at several incidences; no path ends above an albedo of 1.
+        landmarks: materials whose samples, beside a material's own, make the paths; by default all.
     """
     reflectances = sphere[0] ** 3 @ sphere[1]
     N = len(samples) // n_bands

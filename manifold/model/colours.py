@@ -1,4 +1,4 @@
-"""The chosen colour of a prediction: that of a material, a spectrum, or sRGB; of blends by its reflectance."""
+"""The given colour of a prediction: the colour of a material, a reflectance spectrum, or an sRGB value."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from manifold.model.settings import Settings
 
 @dataclass(frozen=True)
 class ColourChoice:
-    """The colour that a user chooses; without a choice see `NEAREST`.
+    """A colour that a user gives; at most one attribute is set, and none means a blended colour (`NEAREST`).
 
     Attributes:
         like: name of a material of the model, or the path of a `.bsdf` file.
-        reflectance: a spectrum, or a text file of wavelengths in nm and reflectances.
+        reflectance: a spectrum, or the path of a text file of wavelengths in nm and reflectances.
         srgb: `#rrggbb`, or three display values from 0 to 1 with commas between.
     """
 
@@ -43,7 +43,7 @@ class ColourChoice:
     def __post_init__(self) -> None:
         given = [name for name, value in vars(self).items() if value is not None]
         if len(given) > 1:
-            raise UsageError(f"found {' and '.join(given)}, expected one of them; a material has one colour")
+            raise UsageError(f"found {' and '.join(given)}, expected only one of them")
 
     @property
     def is_like_file(self) -> bool:
@@ -51,7 +51,7 @@ class ColourChoice:
         return self.like is not None and self.like.endswith(".bsdf")
 
     def made_of(self) -> dict[str, Any]:
-        """Return all that the colour depends on as plain values; for a file its content.
+        """Return everything that the colour depends on as plain values, including the content of a file.
 
         Raises:
             UsageError: the file cannot be read.
@@ -68,7 +68,7 @@ class ColourChoice:
         return {"like": like, "reflectance": known, "srgb": self.srgb}
 
     def asked(self, bands: Bands) -> tuple[Array, str]:
-        """Return the chosen reflectance in some bands, shape (B,), and its origin in words."""
+        """Return the given reflectance in these bands, shape (B,), and a text that says where it comes from."""
         if self.is_like_file:
             file = read_bsdf(Path(str(self.like)))
             bands.require_same(file.bands, str(self.like), "resample it, or use its own library")
@@ -95,17 +95,17 @@ def _content_of(path: Path) -> str:
 
 
 NEAREST = ColourChoice()
-"""No choice: the colour blended from the surrounding materials."""
+"""No given colour: predictions have the colour blended from the surrounding materials."""
 
 
 @dataclass(frozen=True, eq=False)
 class ChosenColour:
-    """A colour on a manifold.
+    """The colour of a prediction.
 
     Attributes:
-        colours: colour coordinate of every band, shape (B,); None where colours are fixed by latents.
-        words: where it comes from.
-        residual: largest difference over bands between the requested reflectance and the one reached.
+        colours: colour coordinate of every band, shape (B,); None if the latent determines the colour.
+        words: text that says where the colour comes from; None if the latent determines it.
+        residual: largest difference, over the bands, between the given and the reached reflectance.
     """
 
     colours: Array | None
@@ -114,7 +114,7 @@ class ChosenColour:
 
 
 UNCHOSEN = ChosenColour(None, None, 0.0)
-"""No colour of its own: latents carry it, or it is interpolated with them."""
+"""The absence of a given colour: the latent determines the colour."""
 
 
 def parse_srgb(text: str) -> Array:
@@ -154,15 +154,15 @@ class ReflectanceColours:
         return self._reflectances[self._materials.index(name)].copy()
 
     def reached(self, x: Array, colours: Array) -> Array:
-        """Return the reflectance of a structure x (Q,) in colours (B,), shape (B,)."""
+        """Return the reflectance (B,) of the prediction at a latent x (Q,) with colour coordinates (B,)."""
         x = self._latent(x)
         space, decoder, measure = self._around(x)
         return space.reflectance_of(x, colours, decoder, measure)
 
     def like(self, x: Array, name: str) -> Array:
-        """Return the colour coordinates (B,) that give a structure x (Q,) the reflectance of a material.
+        """Return the colour coordinates (B,) that give the prediction at a latent x (Q,) the reflectance of a material.
 
-        At the material's own latent, its own colours: there the prediction is the measured file.
+        At the material's own latent they are its own colours, so that the prediction there is the measured file.
         """
         k, x = self._materials.index(name), self._latent(x)
         if np.array_equal(x, self._space.X[k]):
@@ -170,9 +170,9 @@ class ReflectanceColours:
         return self.of_reflectance(x, self._reflectances[k])[0]
 
     def of_reflectance(self, x: Array, reflectance: Array) -> tuple[Array, Array]:
-        """Return colour coordinates (B,) that give a structure x (Q,) a reflectance (B,), and the one reached, (B,).
+        """Return the colour coordinates (B,) for a reflectance (B,) at x (Q,), and the reflectance reached (B,).
 
-        A reflectance that the structure cannot have (a metal cannot be black) is approximated.
+        A reflectance that a prediction cannot reach is approximated; a metal, for example, cannot be black.
         """
         expected = self._reflectances.shape[1:]
         reflectance = np.asarray(reflectance, dtype=np.float64)

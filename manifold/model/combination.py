@@ -1,7 +1,7 @@
-"""Predictions as weighted sums: `T^-1(sum of weights * T(samples))`, on any direction pairs.
+"""Evaluates predictions, which are weighted sums `T^-1(sum of weights * T(samples))`, on any direction pairs.
 
-Every method of this package, baselines included, predicts so. It finds its weights once; here they meet
-measured values, block by block, on grids of any size.
+Every method of this package, baselines included, predicts in this form. A method finds its weights once; this module
+applies them to measured values, block by block, on grids of any size.
 """
 
 from __future__ import annotations
@@ -43,22 +43,22 @@ class Values:
 
     @cached_property
     def cosines(self) -> Array:
-        """cos(theta_i) cos(theta_o) per direction pair, shape (P,)."""
+        """Return cos(theta_i) cos(theta_o) of every direction pair, shape (P,)."""
         return cosine_weight(self.wi, self.wo)
 
     def mapped(self, mapping: ValueMapping) -> Array:
-        """Return t(f) of all materials, shape (N, P, B); cached."""
+        """Return the mapped values T(f) of all materials, shape (N, P, B); the result is cached."""
         if mapping not in self._mapped:
             self._mapped[mapping] = mapping.forward(self.f, self.cosines[:, None])
         return self._mapped[mapping]
 
     @cached_property
     def roots(self) -> Array:
-        """`(w f)^(1/3)` of all materials, shape (N, P, B): where the cube-root error is measured."""
+        """Return `(w f)^(1/3)` of all materials, shape (N, P, B), from which cube-root errors are computed."""
         return np.cbrt(self.cosines)[:, None] * np.cbrt(self.f)
 
     def mapped_samples(self, mapping: ValueMapping, bands: Indices) -> Array:
-        """Return T(f) of bands (B_s,) as samples, material by material, shape (N * B_s, P); cached."""
+        """Return T(f) of single bands (B_s,), material by material, shape (N * B_s, P); the result is cached."""
         key = (mapping, tuple(int(b) for b in bands))
         if key not in self._samples:
             f = np.ascontiguousarray(np.moveaxis(self.f[..., list(key[1])], 2, 1))  # [N, B_s, P]
@@ -66,7 +66,7 @@ class Values:
         return self._samples[key]
 
     def mapped_lobes(self, mapping: ValueMapping, lobes: Lobes) -> Array:
-        """Return t(f) of analytic lobes, shape (n_l, P); cached."""
+        """Return T(f) of analytic lobes, shape (n_l, P); the result is cached."""
         key = mapping, lobes
         if key not in self._lobes:
             self._lobes[key] = mapping.forward(lobes.values(self.wi, self.wo))
@@ -78,15 +78,15 @@ class Combination:
     """One prediction in B bands, made of N measured materials.
 
     Attributes:
-        mapping: T.
-        weights: of the materials, alike in all bands, shape (N,); or of single bands, band by band, shape
-            (B, N * B_s), where sample n * B_s + s is band `sample_bands[s]` of material n; or of the atoms that a
-            dictionary makes of these samples, (B, n').
-        sample_bands: which bands are samples, shape (B_s,); None where whole materials are.
+        mapping: the mapping T.
+        weights: weights of the materials, the same in all bands, shape (N,); or weights of single bands (samples) for
+            every predicted band, shape (B, N * B_s), where sample n * B_s + s is band `sample_bands[s]` of material
+            n; or weights of the atoms that `dictionary` makes of these samples, shape (B, n').
+        sample_bands: indices of the bands that are samples, shape (B_s,); None if whole materials are combined.
         is_clipped: whether negative values are cut to 0.
-        variance: of the mapped values, as the method itself believes it: a number, or one per band (B,); None
-            where the method has no such belief.
-        dictionary: None where the samples are what is combined.
+        variance: the method's own estimate of the variance of the mapped values, a number or one per band (B,); None
+            if the method has no such estimate.
+        dictionary: the dictionary of atoms; None if the samples themselves are combined.
     """
 
     mapping: ValueMapping
@@ -98,7 +98,7 @@ class Combination:
 
     @property
     def source(self) -> int | None:
-        """Index of the only material with a weight, if that weight is 1; None otherwise."""
+        """Return the index of the only material with a weight if this weight is 1, otherwise None."""
         if self.sample_bands is None and np.count_nonzero(self.weights) == 1:
             material = int(np.argmax(self.weights))
             return material if self.weights[material] == 1.0 else None
@@ -106,7 +106,10 @@ class Combination:
 
     @property
     def used(self) -> tuple[Indices, Combination]:
-        """The materials with nonzero weight, (n,), and the prediction made of these only; not of a dictionary."""
+        """Return the indices (n,) of the materials with nonzero weight, and the prediction made of only these.
+
+        It does not support predictions with a dictionary.
+        """
         if self.sample_bands is None:
             used = np.flatnonzero(self.weights)
             return used, replace(self, weights=self.weights[used])
@@ -115,20 +118,20 @@ class Combination:
         return used, replace(self, weights=of_materials[:, used].reshape(len(self.weights), -1))
 
     def in_bands(self, bands: Indices) -> Combination:
-        """Return the prediction in some bands (B',), for comparison with values in these bands."""
+        """Return the prediction in some of the bands (B',)."""
         if self.sample_bands is None:
             return self
         missing = np.setdiff1d(self.sample_bands, bands)
         if missing.size:
             raise ShapeError(
-                f"bands {missing.tolist()} are needed by the prediction, and the values lack them"
+                f"bands {missing.tolist()} are needed by the prediction, but missing from the values"
             )
         variance = self.variance[bands] if isinstance(self.variance, np.ndarray) else self.variance
         position = np.searchsorted(bands, self.sample_bands)
         return replace(self, weights=self.weights[bands], sample_bands=position, variance=variance)
 
     def mapped(self, values: Values) -> Array:
-        """Return T of the prediction, shape (P, B)."""
+        """Return the mapped prediction T(f), shape (P, B)."""
         if self.sample_bands is None:
             return np.tensordot(self.weights, values.mapped(self.mapping), axes=1)
         samples = values.mapped_samples(self.mapping, self.sample_bands)
@@ -138,7 +141,10 @@ class Combination:
         return self.dictionary.combine(self.weights, samples, lobes).T
 
     def evaluate(self, values: Values) -> Array:
-        """Return the prediction f in 1/sr, shape (P, B); at a unit vector the measured values, bit for bit."""
+        """Return the prediction f in 1/sr, shape (P, B).
+
+        A single material of weight 1 gives its measured values exactly.
+        """
         (predicted,) = evaluate([self], values)
         return predicted
 
@@ -146,7 +152,7 @@ class Combination:
 def evaluate(combinations: Sequence[Combination], values: Values, *, clip: bool = True) -> Array:
     """Return predictions f in 1/sr at the direction pairs of measured values, shape (M, P, B).
 
-    Without `clip`, negative values are kept, whatever a combination says.
+    Without `clip`, negative values are kept even if `is_clipped` is set.
     """
     predicted = np.empty((len(combinations), *values.f.shape[1:]))
     for group in _alike(combinations):
@@ -179,22 +185,23 @@ def _alike(combinations: Sequence[Combination]) -> list[list[int]]:
 
 @dataclass(frozen=True)
 class Dictionary:
-    """Atoms in a mapped domain: powers of the samples, then analytic lobes.
+    """A set of atoms (basis functions) in a mapped domain: powers of the samples, then analytic lobes.
 
-    Samples, cut at 0, are raised to every exponent in turn, which makes measured lobes broader or narrower.
+    Samples, with negative values set to 0, are raised to each exponent, which makes measured lobes broader or
+    narrower.
     """
 
     exponents: tuple[float, ...] = (1.0,)
     lobes: Lobes = field(default_factory=Lobes)
 
     def size(self, n_samples: int) -> int:
-        """Return the number of atoms that n samples make."""
+        """Return the number of atoms for a number of samples."""
         return len(self.exponents) * n_samples + len(self.lobes)
 
     def combine(self, weights: Array, samples: Array, lobes: Array) -> Array:
-        """Return the sum of all atoms by their weights (B, n'), shape (B, P), of samples (n, P) and lobes (n_l, P).
+        """Return the weighted sum of the atoms made of samples (n, P) and lobes (n_l, P), shape (B, P).
 
-        Atoms without weights are not computed.
+        `weights` is (B, n'); atoms without weights are not computed.
         """
         combined = weights[:, len(self.exponents) * len(samples) :] @ lobes
         for k, exponent in enumerate(self.exponents):

@@ -1,4 +1,4 @@
-"""The errors of reports between two BRDFs of any kind."""
+"""Computes the errors that reports show, between any two BRDFs."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ def rmse22(brdf: BRDF, predicted: BRDF, grid: str = "hikichi") -> float:
 
     Args:
         brdf: the measured or true BRDF.
-        predicted: the BRDF that describes it, in the same bands.
-        grid: name of the grid; `default` is a coarser one, denser around the mirror direction.
+        predicted: the predicted or fitted BRDF, in the same bands.
+        grid: name of the grid; `default` is coarser, but denser around the mirror direction.
 
     Raises:
-        UsageError: one of them lacks the methods of `manifold.brdf.BRDF`, or there is no such grid.
-        BandMismatchError: they have different bands.
+        UsageError: an argument lacks the methods of `manifold.brdf.BRDF`, or there is no such grid.
+        BandMismatchError: the BRDFs have different bands.
     """
     require_both(brdf, predicted)
     nodes = RusinkiewiczGrid.named(grid).suited_to(all_isotropic([brdf, predicted]))
@@ -38,24 +38,24 @@ def rmse22(brdf: BRDF, predicted: BRDF, grid: str = "hikichi") -> float:
 
 
 def require_both(brdf: BRDF, predicted: BRDF) -> None:
-    """Raise unless two BRDFs can be compared."""
+    """Raise UsageError or BandMismatchError unless both arguments are BRDFs with the same bands."""
     require_brdf(brdf, "the true BRDF")
     require_brdf(predicted, "the prediction")
     brdf.bands.require_same(predicted.bands, "the prediction", "resample it")
 
 
 def brdf_errors(brdf: BRDF, predicted: BRDF) -> Errors[float]:
-    """Return the errors of reports, on the direction pairs of their default grid and in all bands.
+    """Return the errors of a predicted BRDF that reports show, on the default grid of direction pairs and in all bands.
 
-    Where one of both is anisotropic, the pairs have all azimuths.
+    If one of the BRDFs is anisotropic, the grid covers all azimuths.
 
     Args:
         brdf: the measured or true BRDF f.
-        predicted: the BRDF f* that describes it, in the same bands.
+        predicted: the predicted or fitted BRDF f*, in the same bands.
 
     Raises:
-        UsageError: one of them lacks the methods of `manifold.brdf.BRDF`.
-        BandMismatchError: they have different bands.
+        UsageError: an argument lacks the methods of `manifold.brdf.BRDF`.
+        BandMismatchError: the BRDFs have different bands.
     """
     require_both(brdf, predicted)
     grid = RusinkiewiczGrid.named("default").suited_to(all_isotropic([brdf, predicted]))

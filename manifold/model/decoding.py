@@ -1,4 +1,4 @@
-"""Materials at the direction pairs where they are compared; latents decoded there, and new materials encoded."""
+"""Evaluates materials at the direction pairs where they are compared, and decodes latents there."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ REFLECTANCE_INCIDENCE_DEG = 8.0  # incidence in integrating spheres, specular in
 
 
 def integrating_sphere(incidence_deg: float = REFLECTANCE_INCIDENCE_DEG) -> Picture:
-    """Return the measurement of an integrating sphere as a picture of one sum, the reflectance."""
+    """Return the measurement of an integrating sphere, as a picture with a single value, the reflectance."""
     wi = from_spherical(np.deg2rad(incidence_deg), 0.0)
     wo, measure = mirrored_quadrature(wi)
     return Picture(np.broadcast_to(wi, wo.shape), wo, sums_of_runs(measure * wo[:, 2], np.zeros(1, int)))
@@ -38,10 +38,7 @@ def decoder_at(
     settings: Settings,
     names: Sequence[str] | None = None,
 ) -> Decoder:
-    """Return the decoder of a space at direction pairs, for all embedding bands or for one band.
-
-    Its materials have these names, by default all.
-    """
+    """Return the decoder of a latent space at direction pairs, for the named materials, by default all."""
     mapping, cosines = MAPPINGS[settings.mapping], pairs.cosines
     rows = []
     for brdf in materials.in_bands(
@@ -53,20 +50,20 @@ def decoder_at(
 
 
 OF_BALL = slice(None, None, 7)
-"""Which of a ball's direction pairs are used."""
+"""Selects every seventh direction pair of a rendered sphere."""
 
 
 @cache
 def appearance_pairs(is_isotropic: bool = True) -> Pairs:
-    """Return the pairs of the encoding grid, then some of those that light a ball, which are rare in the grid.
+    """Return the direction pairs of the encoding grid, then some pairs of a lit sphere, which are rare in the grid.
 
-    Anisotropic materials have as many pairs, with the same cosines and light.
+    Anisotropic materials have the same number of pairs, with the same cosines and light.
     """
     return encoding_pairs(is_isotropic) + ball_colours.ball()[OF_BALL]
 
 
 def appearance_weight(samples: Array) -> Array:
-    """Return amplitudes (P,) at the pairs, with which cube roots (n, P) have equal squared norms on ball and grid."""
+    """Return factors (P,) that give cube roots (n, P) the same squared norm on the sphere as on the grid."""
     grid, ball = (np.cbrt(light) for light in (encoding_pairs().cosines, ball_colours.ball().light[OF_BALL]))
     of_grid = float(np.sum((samples[:, : len(grid)] * grid) ** 2))
     of_ball = float(np.sum((samples[:, len(grid) :] * ball) ** 2))
@@ -74,5 +71,5 @@ def appearance_weight(samples: Array) -> Array:
 
 
 def roots_at(materials: Sequence[BRDF], pairs: Pairs) -> Array:
-    """Return cube roots of values at direction pairs, a row per band and material, shape (N B, P)."""
+    """Return the cube roots of BRDF values at direction pairs, one row per material and band, shape (N B, P)."""
     return np.concatenate([np.cbrt(np.maximum(values_at(m, pairs), 0.0)).T for m in materials])

@@ -1,4 +1,4 @@
-"""Diagnostics of a prediction or an embedding, as sentences; empty if there are none."""
+"""Diagnostics of a prediction or an embedding, as sentences."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from manifold.model.places import Place, PlaceLike
 
 AT_A_MATERIAL = "none, because a measured material lies there"
-"""Words for the expected error at a material."""
+"""Text in place of an expected error at a measured material."""
 
 _LEFT_WALK = (
     "not the step of the walk, but the prediction on the line between both materials on the map, in the chosen colour; "
@@ -49,33 +49,31 @@ class DiagnosedPrediction(Result):
     """A predicted material, with its expected error and diagnostics.
 
     Attributes:
-        latent: shape (Q,); None of a step of a walk, which no latent makes.
-        coordinates: the same, with the digits that reproduce the prediction.
-        walk: of a step of a walk, its two materials and t, in words; else None.
-        own: the file, step or material whose own values these are, edited or not; None where the map predicts.
-        change: errors of the written file with respect to `own`; None likewise.
-        colour: where the colour comes from, in words; None where the latent fixes it.
-        reflectance_residual: largest difference over bands between the requested reflectance and the one reached.
-        weights: the materials with the largest weights, by magnitude, in this colour; none of a step of a walk, which
-            its two materials make.
-        nearest: the three nearest materials with their distances; none of a step of a walk.
-        materials: number of materials of the model, on whose left-out errors expected ones are based.
-        expected: of an unknown material at the place, in the given colour if there is one; None where the model is not
-            calibrated, and of a step of a walk.
-        posterior: standard deviation of the Gaussian process there, with its unit; None for blends, and at a step of a
-            walk.
-        expected_in_chosen_colour: the same if the colour, which is blended from the surrounding materials, were given;
-            None where it is not blended.
-        is_extrapolation: whether the data do not support the place.
-        plausibility: measured on the prediction, or on the file that was written.
+        latent: latent of the prediction, shape (Q,); None for a step of a walk, which uses no latent.
+        coordinates: the latent as text, with the digits that reproduce the prediction.
+        walk: text with the two materials and t of a step of a walk; None for other predictions.
+        own: the file, walk step or material whose values are used, possibly edited; None if the map predicts.
+        change: errors of the written file with respect to `own`; None if `own` is None.
+        colour: text that says where the colour comes from; None if the latent determines it.
+        reflectance_residual: largest difference, over the bands, between the given and the reached reflectance.
+        weights: the materials with the largest weights, by magnitude, in this colour; empty for a step of a walk.
+        nearest: the three nearest materials with their distances; empty for a step of a walk.
+        materials: number of materials of the model, whose leave-one-out errors the expected errors are based on.
+        expected: expected error of an unknown material at this latent, with the given colour if there is one; None if
+            the model is not calibrated, and for a step of a walk.
+        posterior: standard deviation of the Gaussian process at the latent, with its unit; None for maps of blends
+            and for a step of a walk.
+        expected_in_chosen_colour: expected error if the colour were given; None unless the colour is blended.
+        is_extrapolation: whether the latent is not supported by the data.
+        plausibility: physical plausibility of the written file or, without a file, of the prediction.
         diagnostics: defects found, as sentences.
-        attributes: those asked for and those reached, plain values; None where none were asked for.
-        path: of the file that was written; None where none was.
-        is_physical: whether that was projected to be non-negative, reciprocal and energy-conserving.
-        clipped_share: share of the predicted values that were negative, and are zero in the file.
-        mirror_difference: of the file from the prediction near mirror directions, see `plausibility.mirror_difference`;
-            None without a file.
-        seconds: evaluating, checking and writing, without loading the library.
+        attributes: requested and reached attributes as plain values; None if none were requested.
+        path: path of the written file; None without a file.
+        is_physical: whether the file was made non-negative, reciprocal and energy-conserving.
+        clipped_share: share of the predicted values that were negative and are zero in the file.
+        mirror_difference: difference of the file from the prediction near mirror directions, see
+            `plausibility.mirror_difference`; None without a file.
+        seconds: time for evaluating, checking and writing, without loading the library.
     """
 
     brdf: BRDF
@@ -95,27 +93,27 @@ class DiagnosedPrediction(Result):
 
     @property
     def is_file(self) -> bool:
-        """Whether the values are those of a file, which has no place on the map here."""
+        """Return whether the values are taken from a file, which has no place on the map."""
         return self.latent is None and self.walk is None
 
     @property
     @derived(row="place", json=False)
     def place_in_words(self) -> str:
-        """The place, and where the colour comes from."""
+        """Return lines of text that state the place, and where the colour comes from."""
         place = f"{self.walk}, a step of a walk" if self.walk is not None else ",".join(self.coordinates)
         if self.is_file:
-            place = f"{self.own}, by its own values (`manifold locate` finds its place on the map)"
+            place = f"{self.own}, with its own values (`manifold locate` finds its place on the map)"
         return place if self.colour is None else f"{place}; colour {self.colour}"
 
     @property
     @derived(row="expected error", json=False)
     def expected_in_words(self) -> tuple[str | list[str], ...]:
-        """Expected errors of the prediction in its colour, or why there are none."""
+        """Return lines of text with the expected errors of the prediction in its colour, or why there are none."""
         if self.walk is not None:
             return ("none: a step of a walk has no place on the map",)
         if self.own is not None:
             what = "the material itself" if self.attributes is None and self.colour is None else "the change"
-            return (f"none: the map has no part in {what}",)
+            return (f"none, because the map is not used for {what}",)
         if self.is_extrapolation:
             return ("unknown: not supported by the data, see note",)
         if self.expected_in_chosen_colour is None:
@@ -125,7 +123,7 @@ class DiagnosedPrediction(Result):
     @property
     @derived(row="unknown material", json=False)
     def unknown_in_words(self) -> list[str]:
-        """The expected error of a material that is located there and whose colour is not given."""
+        """Return lines of text that state the expected error for a material located there whose colour is not given."""
         if self.expected_in_chosen_colour is None or self.is_extrapolation or self.expected is None:
             return []
         first, *others = self.expected.words
@@ -134,7 +132,7 @@ class DiagnosedPrediction(Result):
     @property
     @derived(row="made of", json=False)
     def weights_in_words(self) -> list[str]:
-        """The materials with the largest weights."""
+        """Return lines of text that list the materials with the largest weights."""
         shown = [pair for pair in self.weights if abs(pair[1]) >= SHOWN_WEIGHT] or self.weights[:1]
         return [f"{name} {weight:.2f}" for name, weight in shown]
 
@@ -163,7 +161,7 @@ class DiagnosedPrediction(Result):
         row="reciprocity error", words=lambda result: percent(result.reciprocity_error, 2), is_detail=True, json=False
     )  # fmt: skip
     def reciprocity_error(self) -> float:
-        """See `Plausibility`."""
+        """Return the reciprocity error; see `Plausibility`."""
         return self.plausibility.reciprocity_error
 
     plausibility: Plausibility = field(
@@ -188,7 +186,10 @@ class DiagnosedPrediction(Result):
     seconds: float = field(default=0.0, metadata=entry())
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values; only a file that was written has the program's version, and values of the file."""
+        """Return plain values for JSON.
+
+        If a file was written, they include the program's version and values of the file.
+        """
         absent = {
             name for name in ("attributes", "posterior", "own", "change") if getattr(self, name) is None
         }
@@ -201,7 +202,7 @@ class DiagnosedPrediction(Result):
 def predict_and_diagnose(
     model: Manifold, x: PlaceLike, choice: ColourChoice = NEAREST
 ) -> DiagnosedPrediction:
-    """Return the prediction at a place in a chosen colour, with its diagnostics."""
+    """Return the prediction at a place, in a given or blended colour, with its diagnostics."""
     place = model.place(x)
     chosen = model.choose_colour(place, choice)
     return diagnose(model, place, model.predict(place, chosen.colours), chosen)
@@ -210,9 +211,10 @@ def predict_and_diagnose(
 def diagnose_file(
     name: str, brdf: BRDF, chosen: ChosenColour, found: Plausibility, negative_share: float, unmeasured: float
 ) -> DiagnosedPrediction:
-    """Return diagnostics of the values of a file, edited or not, of which a share of cells was not measured.
+    """Return diagnostics of the values of a file, which may be edited.
 
-    They are measured on the written file; `negative_share` is that of the values before they were cut to 0.
+    `negative_share` is the share of negative values before they were set to 0, `unmeasured` the share of cells that
+    were not measured.
     """
     measured = replace(found, negative_share=negative_share)
     return DiagnosedPrediction(
@@ -233,8 +235,8 @@ def diagnose(
 ) -> DiagnosedPrediction:
     """Return diagnostics and expected error of a prediction at a place.
 
-    They are measured on the written file, with the share of negative values before they were cut to 0, or
-    else on the prediction itself.
+    `found` is the plausibility of the written file, and `negative_share` the share of negative values before they
+    were set to 0. If they are None, they are measured on the prediction.
     """
     colours, latent = chosen.colours, place.latent
     found = plausibility(brdf) if found is None else found
@@ -279,7 +281,7 @@ def _reason(model: Manifold, place: Place) -> str:
 
 
 def in_words(expected: Errors[Array] | None, materials: int, of: str = "") -> tuple[str | list[str], ...]:
-    """Describe an expected error for a terminal, as lines, of a model of `materials` materials.
+    """Return lines of text that state an expected error of a model with `materials` materials.
 
     The first line begins with `of`.
     """
@@ -302,10 +304,10 @@ def of_prediction(
     why: str = "far from all materials",
     measured: BRDF | None = None,
 ) -> tuple[str, ...]:
-    """Return diagnostics of a prediction: lack of support, faults measured on it, and the residual of its colour.
+    """Return diagnostics of a prediction: lack of support, physical faults, and a colour that was not reached.
 
-    The residual is the largest difference over bands between requested and reached reflectance; `measured` is
-    the material that the prediction should reproduce.
+    `residual` is the largest difference, over the bands, between given and reached reflectance; `measured` is the
+    material that the prediction should reproduce.
     """
     diagnostics = []
     if is_extrapolation:
@@ -338,7 +340,7 @@ def of_prediction(
 
 
 def of_measured(found: Plausibility, measured: BRDF | None = None) -> tuple[str, ...]:
-    """Return diagnostics of a measured material at its own place, by measurements on it or on its file."""
+    """Return diagnostics of a measured material at its own latent, from measurements on it or on its file."""
     sound = replace(found, negative_share=0.0, highlight_valley=0.0)
     diagnostics = list(of_prediction(False, sound, measured=measured))
     negative, valley = 100.0 * found.negative_share, 100.0 * found.highlight_valley
@@ -354,7 +356,7 @@ def of_measured(found: Plausibility, measured: BRDF | None = None) -> tuple[str,
 
 
 def of_projection(before: Plausibility, found: Plausibility, change: Errors[float]) -> tuple[str, ...]:
-    """Return diagnostics of a file that was projected to be physical, by measurements before and after."""
+    """Return diagnostics of a file that was made physical, from measurements before and after."""
     changed = (
         f"made physical: largest albedo {before.max_albedo:.2f} to {found.max_albedo:.2f}, reciprocity error "
         f"{100.0 * before.reciprocity_error:.0f} to {100.0 * found.reciprocity_error:.0f} %; changed by "
@@ -370,7 +372,7 @@ def of_projection(before: Plausibility, found: Plausibility, change: Errors[floa
 
 
 def of_unmeasured(share: float) -> tuple[str, ...]:
-    """Return diagnostics of cells that were not measured, as a share of those that should hold a value."""
+    """Return a diagnostic if many of the cells above the horizon, given as their share, were not measured."""
     if share <= MOST_UNMEASURED:
         return ()
     return (
@@ -379,7 +381,7 @@ def of_unmeasured(share: float) -> tuple[str, ...]:
 
 
 def of_embedding(errors: Errors[float]) -> tuple[str, ...]:
-    """Return diagnostics of an embedded material, by the errors of its reconstruction."""
+    """Return diagnostics of an embedded material, from the errors of its reconstruction."""
     if errors.linear <= MOST_EMBEDDING_ERROR and errors.ball <= MOST_EMBEDDING_BALL:
         return ()
     return (

@@ -1,4 +1,4 @@
-"""Materials of a library in a low-dimensional space: fitted by either kind, saved to a model's file, and loaded."""
+"""Embeds the materials of a library in a low-dimensional space; saves the result as a model file, and loads it."""
 
 from __future__ import annotations
 
@@ -45,23 +45,23 @@ _MOST_ALBEDO = 1.5
 
 
 class LibraryChangedWarning(UserWarning):
-    """A model was opened with another library than the one it was fitted to."""
+    """Warns that a model was opened with another library than the one to which it was fitted."""
 
 
 class BrightMaterialWarning(UserWarning):
-    """The directional albedo of a measured material is far above 1: its unit or its measurement is wrong."""
+    """Warns that the directional albedo of a measured material is far above 1, so its unit or measurement is wrong."""
 
 
 class Embedding:
-    """Materials of a library in a latent space, and how they were embedded there: the content of a model's file.
+    """The content of a model file: materials in a latent space, with the settings and statistics of the fit.
 
     Attributes:
         materials: the materials, read when they are needed.
-        names: their names in the order of the latents, N of them.
+        names: names of the N materials, in the order of the latents.
         space: the latent space.
-        settings: of the fit, `BlendSettings` or `GplvmSettings`.
-        statistics: objective at start and end of the fit of a GPLVM, and the measures of `coherence`.
-        left_out: places and errors of left-out materials; None for a model that is not calibrated.
+        settings: settings of the fit, `BlendSettings` or `GplvmSettings`.
+        statistics: the measures of `coherence`; for a GPLVM also the objective at the start and end of the fit.
+        left_out: latents and errors of left-out materials; None for a model that is not calibrated.
         notes: diagnostics that apply to all predictions, from `load`.
     """
 
@@ -93,20 +93,20 @@ class Embedding:
         latents: Array | None = None,
         calibrate: bool = True,
     ) -> Self:
-        """Embed the materials of a library, and leave each of them out once, which calibrates the expected errors.
+        """Embed the materials of a library, then leave each of them out once to calibrate the expected errors.
 
         Args:
-            library: at least two materials, or the path of a library.
+            library: a library of at least two materials, or its path.
             settings: `BlendSettings` or `GplvmSettings`.
-            names: of the materials to embed, such as all but those that are held out; None for all of them.
-            latents: of a dimensionality reduction of your own, shape (N, Q), in the order of the library; they are
-                kept as they are. Only with `GplvmSettings`.
-            calibrate: False saves the time of leaving materials out; expected errors are unknown then, as they are
-                with fewer than four materials.
+            names: names of the materials to embed; None embeds all.
+            latents: latents from a dimensionality reduction of your own, shape (N, Q), in the order of the library;
+                they are not changed. Only with `GplvmSettings`.
+            calibrate: False saves the time of leaving materials out; there are then no expected errors. Fewer than
+                four materials have no expected errors either.
 
         Raises:
-            UsageError: fewer than two materials, more dimensions than materials less one, no such material, or latents
-                for a map of blends.
+            UsageError: there are fewer than two materials, or more dimensions than materials less one; a name is
+                unknown; or latents are given for a map of blends.
             ShapeError: the latents have another shape, or are not finite.
             LibraryError: there is no such library, or a material cannot be read.
         """
@@ -130,7 +130,7 @@ class Embedding:
                 assert isinstance(settings, BlendSettings)
                 if latents is not None:
                     raise UsageError(
-                        "found latents for kind blend, whose layout goes with its colours, expected kind gplvm"
+                        "latents are given for kind blend, which computes its own; leave them out, or use kind gplvm"
                     )
                 space, statistics, samples = _fit_blends(materials, settings)
             if calibrate and len(chosen) >= LEAST_MATERIALS:
@@ -140,21 +140,24 @@ class Embedding:
 
     @property
     def X(self) -> Array:
-        """Latents of the materials, read-only, shape (N, Q)."""
+        """Return the latents of the materials, read-only, shape (N, Q)."""
         return self.space.X
 
     @property
     def coherence(self) -> Coherence | None:
-        """How well the map keeps similar materials together; None if it is not calibrated, or of version 0.4."""
+        """Return how well the map keeps similar materials together.
+
+        It is None for a model without calibration, or of version 0.4.
+        """
         return Coherence.from_statistics(self.statistics)
 
     @property
     def library(self) -> Library:
-        """The library of the measured materials."""
+        """Return the library of the measured materials."""
         return self.materials.library
 
     def save(self, path: Path | str) -> None:
-        """Write the model as HDF5, atomically.
+        """Write the model to an HDF5 file, atomically.
 
         Raises:
             UsageError: the file cannot be written.
@@ -171,16 +174,16 @@ class Embedding:
         """Read a model and open its library.
 
         Args:
-            path: the model, or `built-in`.
-            library: path of the library, if it was moved.
+            path: path of the model, or `built-in`.
+            library: the library or its path, if the library was moved.
 
         Raises:
-            UsageError: `path` is no path.
-            ModelError: no such file, no model of this package, another version, or damaged.
-            LibraryError: the library is not there, or lacks materials of the model.
+            UsageError: `path` is not a path.
+            ModelError: the file does not exist, is not a model of this package, has another version, or is damaged.
+            LibraryError: the library does not exist, or lacks materials of the model.
 
         Warns:
-            LibraryChangedWarning: the library's content is not what the model was fitted to.
+            LibraryChangedWarning: the library's content has changed since the model was fitted.
         """
         if not isinstance(path, Path | str):
             raise UsageError(f"found {type(path).__name__}, expected the path of a model, or 'built-in'")
@@ -214,15 +217,15 @@ def embed(
     choose: Choice | None = None,
     workers: Executor | None = None,
 ) -> tuple[Embedding, list[Any]]:
-    """Fit a manifold to a library, `without` some of its materials, and save it: `manifold embed`.
+    """Fit a manifold to the materials of a library except `without`, and save it, as `manifold embed` does.
 
-    With workers it is one task, whose progress they do not tell.
+    With workers, the fit runs as one task and reports no progress.
 
     Returns:
-        The embedding, and the settings that were tried: what `choose` returns, if it is given.
+        The embedding, and the list of settings that `choose` tried; empty without `choose`.
 
     Raises:
-        ManifoldError: it failed where it ran, or the worker was lost.
+        ManifoldError: the fit failed in the worker, or the worker ended unexpectedly.
     """
     if workers is not None:
         task = partial(_embed_there, library, settings=settings, without=tuple(without), choose=choose)
@@ -248,7 +251,10 @@ def embed(
 
 
 Choice = Callable[[Sequence[MeasuredBRDF], Settings], tuple[Settings, list[Any]]]
-"""A function that chooses other settings for materials, and returns all it tried: `evaluate.selection.choose`."""
+"""A function that chooses settings for materials and returns them with all that it tried.
+
+`evaluate.selection.choose`.
+"""
 
 
 def _embed_there(library: Path, model: Path, **how: Any) -> list[Any]:

@@ -1,4 +1,4 @@
-"""Observations of a material as linear functionals of its BRDF, and the non-negative atoms that explain them."""
+"""Finds non-negative weights of atoms (basis functions) that explain observations, linear functionals of a BRDF."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from manifold.core.threads import one_blas_thread
 from manifold.gp.nonnegative import nonnegative_weights
 
 LEAST = 216.0 / 24389.0
-"""The share of display white below which CIELAB is linear."""
+"""Share of display white below which CIELAB lightness is linear."""
 
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """Observed values of R linear functionals of a material in one band.
+    """Observed values (rows) of R linear functionals of a material in one band.
 
-    Values at direction pairs, pixels of a ball or of a photograph, and means over the aperture of a gloss meter are all
-    such rows; they may be given together.
+    A row may be a value at a direction pair, a pixel of a rendered sphere or of a photograph, or a mean over the
+    aperture of a gloss meter; rows of several kinds may be combined.
 
     Attributes:
         atoms: the functionals of n atoms, shape (n, R).
-        seen: what they were seen to be, shape (R,).
-        weights: how much the squared error of each counts, shape (R,).
-        is_bound: the material was at least as bright as seen, since the camera clipped it, shape (R,).
-        is_root: the rows are functionals of cube roots of the BRDF.
-        n_beside: how many of the rows, the last ones, stand beside a camera's pixels, see `beside`.
+        seen: the observed values, shape (R,).
+        weights: weight of the squared error of each row, shape (R,).
+        is_bound: whether the material is at least as bright as observed, because the camera clipped it, shape (R,).
+        is_root: whether the rows are functionals of cube roots of the BRDF.
+        n_beside: number of rows, the last ones, that were added to a camera's pixels by `beside`.
     """
 
     atoms: Array
@@ -41,7 +41,7 @@ class Observation:
 
     @classmethod
     def joined(cls, parts: Sequence[Observation]) -> Observation:
-        """Join the rows of several sources."""
+        """Join the rows of several observations."""
         seen, weights, bounds = (
             np.concatenate([getattr(part, name) for part in parts])
             for name in ("seen", "weights", "is_bound")
@@ -49,30 +49,34 @@ class Observation:
         return cls(np.concatenate([part.atoms for part in parts], axis=1), seen, weights, bounds)
 
     def beside(self, other: Observation) -> Observation:
-        """Return these pixels with rows of another source, which are never clipped and do not choose the prior."""
+        """Return these pixels with rows of another source added.
+
+        The added rows are never clipped and do not affect the prior.
+        """
         n_beside = self.n_beside + len(other.seen)
         return replace(Observation.joined([self, other]), n_beside=n_beside)
 
     @property
     def pixels(self) -> Observation:
-        """The rows that stand beside nothing."""
+        """Return the rows without those that `beside` added."""
         n = len(self.seen) - self.n_beside
         return Observation(self.atoms[:, :n], self.seen[:n], self.weights[:n], self.is_bound[:n])
 
     def scaled(self, exposure: float) -> Observation:
-        """Return the observation divided by an exposure."""
+        """Return the observation with its values divided by an exposure."""
         return replace(self, seen=self.seen / exposure)
 
     @property
     def relative(self) -> Observation:
-        """Return the observation with weights that make squared errors of cube roots relative to its values."""
+        """Return the observation with weights that make squared cube-root errors relative to the observed values."""
         norm = float(self.weights @ np.maximum(self.seen, 0.0) ** (2.0 / 3.0))
         return replace(self, weights=self.weights / max(norm, LEAST * float(self.weights.sum())))
 
     def slopes(self, fitted: Array) -> Array:
-        """Return the factors (R,) that turn errors of rows, fitted so far (R,), into errors of cube roots.
+        """Return the factors (R,) that convert errors of fitted rows (R,) to errors of cube roots.
 
-        Cube roots are linear below 0.9 % of display white, as in CIELAB. Bounds that hold do not count.
+        Below 0.9 % of display white, cube roots are replaced by a line, as in CIELAB. Satisfied bounds have the
+        factor 0.
         """
         counts = np.sqrt(np.where(self.is_bound & (fitted >= self.seen), 0.0, self.weights))
         if self.is_root:
@@ -98,10 +102,10 @@ def explain(
 ) -> Array:
     """Return weights v >= 0 of n atoms that explain the observations in every band, shape (B, n), mostly zeros.
 
-    They minimise `sum_r w_r (T(v g_r) - T(seen_r))^2 + (v - s) K (v - s)`, with T the cube root, or the identity where
-    rows are of cube roots, s a prior (B, n), and K (n, n) in every band what changes from it cost. Only usable atoms
-    (n,) have weights. Differences of cube roots are those of values times slopes: linear least squares, repeated with
-    better slopes.
+    They minimise `sum_r w_r (T(v g_r) - T(seen_r))^2 + (v - s) K (v - s)`. T is the cube root, or the identity for
+    rows that are cube roots; `prior` is s (B, n), and `kept` holds K (n, n), the cost of departures from s, for every
+    band. Only atoms that are `usable` (n,) get a weight. T is linearised around the fitted values, which gives a
+    linear least-squares problem that is solved repeatedly.
     Source: docs/explanation/reconstruction.md.
     """
     weights: Array = np.zeros((len(bands), len(bands[0].atoms)))

@@ -1,4 +1,7 @@
-"""The expected error of a prediction at a latent, from the errors of left-out materials, latents of others kept."""
+"""Estimates the expected error of a prediction at a latent, from the errors of left-out materials.
+
+The latents of the other materials stay fixed while a material is left out.
+"""
 
 from __future__ import annotations
 
@@ -36,13 +39,13 @@ NOT_CALIBRATED = (
 )
 
 BELOW_TWICE = 0.9
-"""Share of the left-out errors that are below twice the expected."""
+"""Share of the leave-one-out errors that are below twice the expected error."""
 
 COARSE_BELOW = 8
 """Number of materials below which expected errors are uncertain by a factor of three, and vary little with place."""
 
 LEVEL = 0.9
-"""Share of new materials whose true error is to be below `Reliability.bound` times the expected one."""
+"""Share of new materials whose true error should be below `Reliability.bound` times the expected error."""
 
 _LIKE = 2.0  # number of materials at which the power a is one half (docs/explanation/expected-errors.md)
 _LEAST_RESIDUAL = 1e-4
@@ -52,18 +55,20 @@ _FAR = 0.25  # power with which errors grow with the distance to the nearest mat
 
 @dataclass(frozen=True, eq=False)
 class ExpectedError:
-    """`e(x) = c m prod (e_i / m)^(a u_i(x)) hypot(1, d(x))^(1/4)`, a = N / (N + 2): one number, `c`, is fitted.
+    """The expected error e(x) as a function of the latent x, interpolated between leave-one-out errors of N materials.
 
-    The logarithms of the leave-one-out errors e_i of the surrounding materials are averaged with the weights u of a
-    blend. Errors grow with the distance d to the nearest material, in length scales. The power a shrinks the e_i to
-    their geometric mean m, the more the fewer materials there are. Farther from all materials than any of them is from
-    the others, by g, errors are at least m (d / g)^2, up to the largest e_i: nothing is known there. Of a material
-    whose residual r at x is known, the expected error is `c e(x)^(1/4) r^(3/4)`.
+    `e(x) = c m prod (e_i / m)^(a u_i(x)) hypot(1, d(x))^(1/4)` with a = N / (N + 2); only the factor c is fitted.
+
+    It averages the logarithms of the leave-one-out errors e_i with the weights u of a blend at x. The power a shrinks
+    the e_i towards their geometric mean m, more strongly for fewer materials. Errors grow with the distance d to the
+    nearest material, in length scales. If d exceeds g, the largest distance between a material and its nearest
+    neighbour, the error is at least m (d / g)^2, up to the largest e_i. For a material whose residual r at x is
+    known, the expected error is `c e(x)^(1/4) r^(3/4)`.
 
     Attributes:
-        X: places of the materials, shape (N, Q).
-        log_errors: shape (N,).
-        length_scale: of the weights.
+        X: latents of the materials, shape (N, Q).
+        log_errors: logarithms of the leave-one-out errors e_i, shape (N,).
+        length_scale: length scale of the weights u.
         log_factor: logarithm of c.
     """
 
@@ -82,10 +87,15 @@ class ExpectedError:
         floor: float,
         residuals: Array | None = None,
     ) -> ExpectedError:
-        """Fit c: at least half of the left-out errors (N,) are below the expected one, and 90 % below twice that.
+        """Fit c so that half of the leave-one-out errors are below the expected error, and 90 % are below twice that.
 
-        Each material of a place X (N, Q) was found at another, (N, Q), when it was left out, with a residual there,
-        (N,), where expected errors are those of a known residual; errors below the floor count as the floor.
+        Args:
+            X: latents of the materials, shape (N, Q).
+            places: latents at which the materials were found when they were left out, shape (N, Q).
+            errors: leave-one-out errors, shape (N,).
+            length_scale: length scale of the weights.
+            floor: smallest error; smaller errors are replaced by it.
+            residuals: residuals of the left-out materials, shape (N,), if expected errors use known residuals.
         """
         logs = np.log(np.maximum(errors, floor))
         off = np.empty(len(X))
@@ -98,7 +108,10 @@ class ExpectedError:
         return cls(X, logs, length_scale, factor)
 
     def at(self, x: Array, residual: float | None = None) -> Array:
-        """Return expected errors at places x (M, Q), shape (M,); `residual` is that of the materials, if known."""
+        """Return the expected errors at latents x (M, Q), shape (M,).
+
+        `residual` is the residual of the material, if known.
+        """
         nearest = nearest_distance(x, self.X)
         expected = np.exp(self._log_at(x, nearest, residual))
         return expected if residual is not None else np.maximum(expected, self._floor(nearest))
@@ -120,17 +133,17 @@ class ExpectedError:
 
 @dataclass(frozen=True)
 class Reliability:
-    """Expected errors of left-out materials beside true ones.
+    """A comparison of expected and true errors of left-out materials.
 
     Attributes:
-        true, expected: median and 90th percentile.
-        rank_correlation: of expected with true errors (Spearman).
-        below_twice: share of true errors that are below twice the expected.
-        bound: by how much to multiply the expected error so that a new material's true one is below in 90 %; None of
-            too few materials. It is a quantile of leave-one-out errors (jackknife), without a guarantee.
-        most_level: the highest such share that the number of materials allows.
+        true, expected: median and 90th percentile of the true and of the expected errors.
+        rank_correlation: Spearman's rank correlation of expected and true errors.
+        below_twice: share of true errors that are below twice the expected error.
+        bound: factor on the expected error below which the true errors of 90 % of new materials should lie; None if
+            there are too few materials. It is a quantile of leave-one-out errors (jackknife), without a guarantee.
+        most_level: the highest share, instead of 90 %, for which the number of materials allows a bound.
 
-    Source: Barber, Candes, Ramdas & Tibshirani 2021, on the jackknife; residuals are normalised by the expected ones.
+    Source: Barber, Candes, Ramdas & Tibshirani 2021, on the jackknife; true errors are divided by expected errors.
     """
 
     true: tuple[float, float]
@@ -142,7 +155,7 @@ class Reliability:
 
     @classmethod
     def of(cls, true: Array, expected: Array) -> Reliability:
-        """Compare true errors (N,) with those that were expected without the material."""
+        """Compare true errors (N,) with the errors (N,) that were expected without the material."""
         from scipy.stats import spearmanr  # takes half a second to import, and predictions do without
 
         n = len(true)
@@ -167,14 +180,15 @@ _LEAST = {"ball": 0.05, "cube_root": 1e-3}  # errors below cannot be seen
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """The places at which materials of a space are found when they are left out, and the errors of predictions there.
+    """The latents at which n left-out materials of a space are found, and the errors of the predictions there.
 
     Attributes:
-        places: shape (n, Q).
-        errors: in the colours of the material, of the ball, and of cube roots on the encoding grid, each (n,).
-        blended: the same in colours blended from the surrounding materials; None where latents fix the colours.
-        residual: of the search, see `Embedded`, shape (n,).
-        materials: which they are: all, or some of those of a map by landmarks, shape (n,).
+        places: latents at which the materials were found, shape (n, Q).
+        errors: ball errors, and cube-root errors on the encoding grid, in the given colour of the material, each
+            (n,).
+        blended: the same errors in blended colours; None if the latents determine the colours.
+        residual: residuals of the search, see `Embedded`, shape (n,).
+        materials: indices of the left-out materials, shape (n,): all, or a selection on a map with landmarks.
     """
 
     space: LatentSpace
@@ -198,7 +212,10 @@ class LeftOut:
 
     @classmethod
     def from_arrays(cls, stored: Mapping[str, Array], space: LatentSpace) -> LeftOut | None:
-        """Restore the errors from a file's arrays; None if they were computed with other lights or another version."""
+        """Restore the errors from a file's arrays.
+
+        Returns None if they were computed with other lights or by another version.
+        """
         names = _ARRAYS + tuple(_BLENDED + name for name in _LEAST if space.takes_colours)
         if not {_PREFIX + name for name in names} <= set(stored):
             return None
@@ -223,14 +240,14 @@ class LeftOut:
     def expected(
         self, x: Array, residual: float | None = None, *, is_colour_known: bool = True
     ) -> Errors[Array]:
-        """Return expected errors at latents x (M, Q) or (Q,), (M,) or ().
+        """Return the expected errors at latents x (M, Q), shape (M,), or at one latent (Q,), shape ().
 
-        The errors of nine in ten left-out materials are less than twice as large.
+        The true errors of nine in ten left-out materials are less than twice the expected errors.
 
         Args:
             x: the latents.
-            residual: of a material that was located there, in its own colours; None if it is not known.
-            is_colour_known: whether the colours are those of the material, and not blended from the surrounding ones.
+            residual: residual of a material that was located at x in its own colours; None if there is none.
+            is_colour_known: whether the colour of the material is given; otherwise it is blended.
         """
         calibrated = (
             self._of_residuals if residual is not None else self._of_places if is_colour_known
@@ -242,8 +259,9 @@ class LeftOut:
     def is_unsupported(self, x: Array) -> Mask:
         """Return whether predictions at latents x (M, Q) are not supported by the data, shape (M,).
 
-        They are not where the ball's expected error is above 10 CIEDE2000 and above the 90th percentile of the left-out
-        materials, or where the nearest material is farther than any material is from its nearest other one.
+        A prediction is not supported if its expected ball error is above 10 CIEDE2000 and above the 90th percentile
+        of the left-out materials, or if the nearest material is farther away than any material is from its nearest
+        neighbour.
         """
         X = self.space.X
         is_far = nearest_distance(x, X) > widest_gap(X)
@@ -251,9 +269,9 @@ class LeftOut:
         return is_far | (self.expected(x).ball > most)
 
     def reliability(self) -> dict[str, Reliability]:
-        """Return the reliability of each material's expected error, predicted from the others, against its true one.
+        """Return comparisons of the true error of every material with the error expected from the other materials.
 
-        Keys are `ball` and `cube_root`, and, where colours may be blended, `blended_ball` and `blended_cube_root`.
+        The keys are `ball` and `cube_root` and, if colours can be blended, `blended_ball` and `blended_cube_root`.
         """
         X, scale = self._calibrated
         reliabilities = {}
@@ -301,15 +319,11 @@ def leave_out(
     settings: Settings,
     samples: BlendSamples | None = None,
 ) -> tuple[LeftOut, Coherence | None]:
-    """Leave out materials of a space once, locate them from their data, and measure the errors of their predictions.
+    """Leave out each material once, locate it from its data, measure its prediction.
 
-    Also return the coherence of the map.
-
-    Predictions have the materials' own colours, and, if colours can be chosen, those blended from the
-    surrounding materials.
-
-    The places of the other materials are kept. Every material is left out, or, on a map by landmarks, 200; `samples`
-    are those that such a map was fitted to.
+    Return the errors and the coherence. Predictions have the material's own colour and, if colours can be given, also
+    the blended colour. The latents of the other materials stay fixed. On a map with landmarks, 200 materials are left
+    out instead of all; `samples` are the samples to which such a map was fitted.
     """
     bands = bands_of_errors(space, materials.library.bands.count)
     chosen = np.arange(len(space.X))
@@ -336,14 +350,14 @@ def leave_out(
 
 
 def bands_of_errors(space: LatentSpace, n_bands: int) -> Indices:
-    """Return the bands in which errors are measured: some, evenly spaced, and those of the samples."""
+    """Return the indices of the bands in which errors are measured: some evenly spaced ones, and the sample bands."""
     return np.union1d(evenly_spaced(n_bands, COMPARED_BANDS), space.embedding_bands(n_bands))
 
 
 def coherence_of(
     space: LatentSpace, table: MaterialTable, mapping: ValueMapping
 ) -> tuple[Coherence | None, list[Pair]]:
-    """Return the coherence of a map of the materials of a table, in blended colours, and its pairs."""
+    """Return the coherence of a map in blended colours, and its pairs of similar materials."""
     return measure_coherence(
         space.X, table.balls.__getitem__, lambda x: table.ball(space.combination(x, None, mapping))
     )

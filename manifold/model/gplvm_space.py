@@ -1,4 +1,4 @@
-"""The latent space of the GPLVM: whole materials as points, the method of Hikichi & Iwasaki."""
+"""The latent space of the GPLVM, the method of Hikichi & Iwasaki."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _SAME = 1e-2  # cube-root error below which a file is that material; compact lib
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GplvmSpace(LatentSpace):
-    """Whole materials as points, with the same weights in all bands: the method of Hikichi & Iwasaki.
+    """The latent space of kind `gplvm`, whose predictions have the same weights in all bands (Hikichi & Iwasaki).
 
     Attributes:
-        X: latents, shape (N, Q).
+        X: latents of the materials, shape (N, Q).
         S: Gram matrix of the mapped materials, not centred, shape (N, N).
-        n_outputs: D, the outputs behind S.
+        n_outputs: D, the number of outputs from which S was computed.
     """
 
     X: Array
@@ -39,7 +39,7 @@ class GplvmSpace(LatentSpace):
     kind: ClassVar[str] = "gplvm"
 
     def without(self, material: int) -> GplvmSpace:
-        """Return the latents without that of one material."""
+        """Return the space without one of its materials."""
         others = np.delete(np.arange(len(self.X)), material)
         return replace(self, X=self.X[others], S=self.S[np.ix_(others, others)])
 
@@ -50,7 +50,7 @@ class GplvmSpace(LatentSpace):
 
     @classmethod
     def from_arrays(cls, stored: Fields[str, Array], kernel: Kernel, n_bands: int) -> GplvmSpace:
-        """Restore the space from a file's arrays. Raises ValueError if they do not fit each other."""
+        """Restore the space from a file's arrays. Raises ValueError if their shapes do not fit each other."""
         X = stored["X"]
         S, n_outputs = require_shapes(stored, {"S": (len(X), len(X)), "n_outputs": ()})
         if not n_outputs >= 1:
@@ -66,18 +66,21 @@ class GplvmSpace(LatentSpace):
         return self.gp.weights(X)
 
     def embedding_bands(self, n_bands: int) -> Indices:
-        """Return the bands whose values are compared to find a latent: a few, evenly spaced."""
+        """Return the indices of a few evenly spaced bands, whose values are compared to locate a material."""
         return evenly_spaced(n_bands, LEARNT_BANDS)
 
     def samples(self, mapped: Array, cosines: Array) -> tuple[Array, Array]:
-        """Return training samples from mapped values (N, B_e, P): a row holds all bands of a material."""
+        """Return training samples from mapped values (N, B_e, P), and their cosines.
+
+        A row holds all bands of a material.
+        """
         return mapped.reshape(len(mapped), -1), np.tile(cosines, mapped.shape[1])
 
     def embed(self, decoder: Decoder, f: Array, settings: Settings) -> Embedded:
         """Return the latent of a material with values f (B, P) in all bands.
 
-        A material of the library has its own latent, where the delta of the kernel makes the prediction its data; a
-        search along the smooth posterior cannot end there.
+        A material of the library gets its own latent. A search cannot find it, because the search uses the smooth
+        posterior, without the kernel's delta term that makes the prediction there equal to the data.
         """
         values = f[self.embedding_bands(len(f))].reshape(-1)
         own, error = decoder.nearest_sample(np.maximum(values, 0.0))
@@ -92,7 +95,7 @@ class GplvmSpace(LatentSpace):
     def left_out_search(
         self, table: MaterialTable, materials: MaterialCache, settings: Settings
     ) -> LeftOutSearch:
-        """Return a search that encodes each material with the Gaussian process fitted to the others."""
+        """Return a function that locates each material with the Gaussian process fitted to the others."""
         pairs = self.embedding_pairs(materials.is_isotropic)
         whole = decoder_at(pairs, self, materials, settings)
         brdfs = materials.filled()
@@ -111,7 +114,7 @@ class GplvmSpace(LatentSpace):
 def fit_gplvm(
     materials: MaterialCache, s: GplvmSettings, latents: Array | None = None
 ) -> tuple[GplvmSpace, Statistics]:
-    """Fit a GPLVM to all materials of a cache, or keep latents (N, Q); return its space and the objectives.
+    """Fit a GPLVM to all materials of a cache, or use given latents (N, Q); return its space and the objectives.
 
     Source: Hikichi & Iwasaki, section 3.4.
     """

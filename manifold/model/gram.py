@@ -1,4 +1,4 @@
-"""Inner products of mapped materials, `Y Y^T` of the likelihood, integrated in bounded memory."""
+"""Computes the inner products of mapped materials, `Y Y^T` in the likelihood, in bounded memory."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _PROBED = np.geomspace(1e-4, 1e4, 17)  # values in 1/sr that tell one mapping fr
 
 @dataclass(frozen=True, eq=False)
 class Gram:
-    """Inner products of materials in a mapped domain, not centred.
+    """The Gram matrix of materials in a mapped domain, not centred.
 
     Attributes:
         S: sum of weight * T(f_i) * T(f_j) over direction pairs and bands, shape (N, N).
-        n_outputs: D, the number of direction pairs times that of bands.
+        n_outputs: D, the number of direction pairs times the number of bands.
     """
 
     S: Array
@@ -38,9 +38,9 @@ class Gram:
 def value_blocks(
     materials: Sequence[BRDF], grid: RusinkiewiczGrid, block: int = BLOCK_PAIRS
 ) -> Iterator[tuple[Array, Array, Array]]:
-    """Yield wi (P, 3), wo (P, 3) above the horizon, and the values f of all materials, (N, P, B), over a grid.
+    """Yield blocks of a grid above the horizon: wi (P, 3), wo (P, 3), and the values f (N, P, B) of all materials.
 
-    If a material is anisotropic, the grid is turned.
+    If a material is anisotropic, the grid covers several incident azimuths.
     """
     for wi, wo, above in grid.suited_to(all_isotropic(materials)).blocks(block):
         if np.any(above):
@@ -58,8 +58,8 @@ def gram_matrix(
 ) -> Gram:
     """Return the Gram matrix of N materials of the same bands over a grid.
 
-    Each pair is weighted by cos(theta_i) cos(theta_o), as in an image, and D counts pairs above the horizon. Without
-    weights D counts the whole grid, as in eq. 22 of Hikichi & Iwasaki.
+    Each direction pair is weighted by cos(theta_i) cos(theta_o), as in an image, and D counts the pairs above the
+    horizon. If `is_weighted` is False, D counts the whole grid, as in eq. 22 of Hikichi & Iwasaki.
     """
     S = np.zeros((len(materials), len(materials)))
     n_outputs = 0
@@ -77,7 +77,7 @@ def gram_matrix(
 
 
 def cached_gram(materials: MaterialCache, s: GplvmSettings) -> Gram:
-    """Return the Gram matrix of a library's materials under the settings' mapping and grid, from its cache."""
+    """Return the Gram matrix of a library's materials for some settings, from the library's cache if possible."""
     library, mapping = materials.library, MAPPINGS[s.mapping]
     grid = RusinkiewiczGrid.named(s.grid).suited_to(materials.is_isotropic)
     mapped = np.round(

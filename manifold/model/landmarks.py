@@ -1,4 +1,4 @@
-"""Maps of thousands of materials: landmarks are laid out exactly, the others located among them."""
+"""Lays out maps of thousands of materials: landmarks exactly, the other materials among them."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ _LIMITS = {"maxiter": 240, "maxfun": 360, "ftol": 1e-9, "gtol": 1e-7, "maxcor": 
 
 
 def farthest_samples(count: int, distances_to: Callable[[int], Array]) -> Indices:
-    """Return at most `count` samples that cover all, each the farthest from those before it.
+    """Return the indices of at most `count` samples that cover all N, each the farthest from the samples before it.
 
-    Distances (N,) of all samples from one are given; the result is shorter if the other samples are copies.
+    `distances_to` returns the distances (N,) of all samples from one of them. The result is shorter if the remaining
+    samples are copies.
     Source: Gonzalez 1985.
     """
     chosen = [0]
@@ -40,12 +41,17 @@ def farthest_samples(count: int, distances_to: Callable[[int], Array]) -> Indice
 def landmark_layout(
     landmarks: Indices, anchors: Array, to_landmarks: Array, compare: Callable[[Indices], Array]
 ) -> Array:
-    """Return places (N, Q) of N samples, for `scaled`; an approximation of `blend_layout`, at a cost linear in N.
+    """Return positions (N, Q) of N samples like `blend_layout`, approximately, at a cost linear in N.
 
-    The landmarks (M,) have the places `anchors` (M, Q); every other sample starts at their mean, weighted with its
-    affinities by its distances from them, (N, M). Then all are refined: attracted by landmarks and by samples whose
-    distances from these are similar, and repelled by at most 1000 samples, which stand for all. `compare` returns the
-    distances (N, n) of all samples from samples (N, n).
+    Args:
+        landmarks: indices of the landmarks, shape (M,).
+        anchors: positions of the landmarks, shape (M, Q).
+        to_landmarks: distances of all samples from the landmarks, shape (N, M).
+        compare: function that returns the distances (N, n) of all samples from samples with indices (N, n).
+
+    Every other sample starts at the mean of the anchors, weighted by its affinities. Then all positions are refined.
+    A sample is attracted by landmarks and by samples with similar distances from the landmarks, and repelled by at
+    most 1000 samples, which represent all.
     Source: van der Maaten & Hinton 2008, section 6, for landmarks among many samples.
     """
     N = len(to_landmarks)
@@ -72,7 +78,7 @@ def _similar(to_landmarks: Array, count: int) -> Indices:
 
 
 SIGNATURE = 32
-"""Number of landmarks by whose products with a material those like it are found, at most."""
+"""Largest number of landmarks whose inner products with a material are used to find similar materials."""
 
 _AROUND, _ALIKE = 64, 16  # candidates: nearest on the map, and most alike in their own colours
 _ROUNDS = 3  # searches, each around the place that the one before found
@@ -83,9 +89,10 @@ _RIDGE = 1e-6  # relative to the mean squared norm: landmarks may be alike
 def signatures(gram: Array, products: Array) -> Array:
     """Return coordinates (N, r) of materials in an orthonormal basis of the span of r landmarks.
 
-    `gram` holds inner products of the landmarks, (r, r), `products` those of materials with them, (N, r).
+    `gram` (r, r) holds the inner products of the landmarks, `products` (N, r) the inner products of materials with
+    landmarks.
 
-    Distances of coordinates are those of the materials, in cube roots, as far as they lie in the span.
+    Distances between coordinates equal distances between the materials' cube roots, projected on the span.
     """
     gram = gram.astype(np.float64)
     L = scipy.linalg.cholesky(gram + _RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram)), lower=True)
@@ -93,7 +100,7 @@ def signatures(gram: Array, products: Array) -> Array:
 
 
 class LandmarkSearch:
-    """`PlaceSearch` on a map by landmarks, among few of the materials; samples and target bands as there."""
+    """Locates materials on a map with landmarks, like `PlaceSearch` but among only a few materials."""
 
     def __init__(self, space: BlendSpace, samples: Rows, target_bands: Indices | None = None) -> None:
         assert space.landmarks is not None
@@ -108,7 +115,7 @@ class LandmarkSearch:
         self._some_gram = self._some @ self._some.T
 
     def find(self, target: Array, bands: Indices, without: int | None = None) -> tuple[Array, Array, float]:
-        """Place (Q,), colours (2, B) and residual of a material, as `PlaceSearch.find`."""
+        """Return the latent (Q,), colours (2, B) and residual of a material, as `PlaceSearch.find` does."""
         left_out = None
         if without is not None and without in self._landmarks:
             left_out = int(np.flatnonzero(self._landmarks == without)[0])
@@ -140,13 +147,16 @@ class LandmarkSearch:
 
 
 def combined(weights: Array, samples: Rows) -> Array:
-    """Return sums (B, P) of samples; only samples with a weight (B, n) in any band are read."""
+    """Return weighted sums (B, P) of samples with weights (B, n); only samples with a nonzero weight are read."""
     used = np.flatnonzero(np.any(weights, axis=0))
     return np.asarray(weights[:, used].astype(np.float32) @ samples[used].astype(np.float32))
 
 
 class SamplesOnDemand:
-    """Cube roots of the samples of a map at direction pairs, (N B_s, P); materials are read once, when asked for."""
+    """The cube roots of a map's samples at direction pairs, (N B_s, P).
+
+    Each material is read when it is first needed.
+    """
 
     def __init__(self, space: BlendSpace, materials: MaterialCache, pairs: Pairs) -> None:
         self._materials, self._pairs, self._bands = materials, pairs, space.bands

@@ -1,4 +1,4 @@
-"""The interface of fitted latent spaces, arrays in and arrays out."""
+"""The interface of fitted latent spaces."""
 
 from __future__ import annotations
 
@@ -22,24 +22,26 @@ from manifold.model.materials import MaterialCache, MaterialTable
 from manifold.model.settings import Settings
 
 Statistics = dict[str, float]
-"""Objective at start and end of a fit."""
+"""Statistics of a fit by name, such as the objective at its start and end."""
 LeftOutSearch = Callable[[int], tuple[Array, Combination, float]]
-"""A function from a left-out material's index to its place (Q,), its prediction, and its residual.
+"""A function that leaves out a material, by its index; it returns its latent (Q,), prediction, and residual.
 
-The prediction has weights over all materials.
+The weights of the prediction cover all materials.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Embedded:
-    """Latent and colours of a new material, found by embedding.
+    """The latent and the colours that embedding found for a new material.
 
     Attributes:
-        latent: shape (Q,).
-        colours: what `Manifold.predict` takes: colour coordinate of every band, shape (B,); of blends also its gain,
-            shape (2, B); None of kind `gplvm`.
-        relative_error: of the decoded material, `||w (f* - f)|| / ||w f||` on the pairs that it was embedded by.
-        residual: of the search, relative: of blends that of cube roots on grid and ball, else `relative_error`.
+        latent: latent, shape (Q,).
+        colours: colours for `Manifold.predict`: colour coordinate of every band, shape (B,), or for blends also its
+            gain, shape (2, B); None for kind `gplvm`.
+        relative_error: error of the decoded material, `||w (f* - f)|| / ||w f||`, on the direction pairs of the
+            search.
+        residual: relative residual of the search; for blends the residual of cube roots on grid and sphere, otherwise
+            `relative_error`.
     """
 
     latent: Array
@@ -56,15 +58,17 @@ class Embedded:
 class LatentSpace(ABC):
     """A fitted latent space of N materials.
 
-    Colours that arguments take are checked already, by `require_colours`.
+    Methods take colours that `require_colours` has checked.
 
     Attributes:
         X: latents of the materials, shape (N, Q).
-        own_colours: colour coordinates of the materials in all bands, shape (N, B), if colours can be chosen.
-        reflectances: of the materials at 8 degrees, specular included, shape (N, B), if colours can be chosen.
-        landmarks: materials on whose map all others were located, shape (M,); None where all were laid out.
-        takes_colours: whether colours can be chosen.
-        is_nonnegative: whether negative measured values are taken for 0 where materials are combined.
+        own_colours: colour coordinates of the materials in all bands, shape (N, B), if colours can be given.
+        reflectances: reflectances of the materials at 8 degrees, specular included, shape (N, B), if colours can be
+            given.
+        landmarks: indices of the materials on whose map all others were located, shape (M,); None if all materials
+            were laid out together.
+        takes_colours: whether colours can be given.
+        is_nonnegative: whether negative measured values are treated as 0 when materials are combined.
     """
 
     kind: ClassVar[str]
@@ -82,12 +86,15 @@ class LatentSpace(ABC):
 
     @cached_property
     def gp(self) -> GaussianProcess:
-        """The Gaussian process on the latents: it predicts on a GPLVM, and tells how far the data reach on any map."""
+        """Return the Gaussian process on the latents.
+
+        Its variance shows how far predictions are supported by the data.
+        """
         return GaussianProcess(self.X, self.kernel)
 
     @property
     def materials_in_words(self) -> str:
-        """Return the number of materials, and of landmarks among them, in words."""
+        """Return a text with the number of materials and, if there are any, of landmarks."""
         return f"{len(self.X)}" + (
             "" if self.landmarks is None else f", {len(self.landmarks)} of them landmarks"
         )
@@ -103,30 +110,33 @@ class LatentSpace(ABC):
         """Restore the space from a file's arrays."""
 
     def printed(self, x: Array) -> tuple[str, ...]:
-        """Return the coordinates of a latent (Q,) with the digits that reproduce its prediction."""
+        """Return the coordinates of a latent (Q,) as text, with the digits that reproduce its prediction."""
         return tuple(repr(float(v)) for v in x)
 
     def numbers(self, n_bands: int) -> int:
-        """Return how many numbers describe a material of `n_bands` bands: its latent, and colours and gains."""
+        """Return the number of parameters of a material with `n_bands` bands: its latent, colours and gains."""
         return self.X.shape[1] + 2 * n_bands * self.takes_colours
 
     def around(self, x: Array) -> tuple[Indices, LatentSpace] | None:
-        """Return the materials that predictions at x (Q,) depend on, (n,), and their space; None if all may matter."""
+        """Return the indices (n,) of the materials on which predictions at x (Q,) depend, and their space.
+
+        Returns None if predictions may depend on all materials.
+        """
         return None
 
     @abstractmethod
     def weights(self, x: Array, colours: Array | None) -> Array:
-        """Return the weights of a prediction at x (Q,): of materials (N,), or of samples in every band (B, n)."""
+        """Return the weights of a prediction at x (Q,), for materials (N,) or for samples in every band (B, n)."""
 
     @abstractmethod
     def material_weights(self, X: Array, colours: Array | None) -> Array:
-        """Return the materials' weights at latents X (M, Q), shape (M, N).
+        """Return the weights of the materials at latents X (M, Q), shape (M, N).
 
-        They are summed over a material's samples and averaged over bands.
+        Weights of samples are summed over the samples of a material and averaged over the bands.
         """
 
     def require_colours(self, colours: Array | None) -> Array | None:
-        """Return colours as float64: (B,), or with gains (2, B). Raises ShapeError if they are no such colours."""
+        """Return colours as float64, shape (B,) or with gains (2, B). Raises ShapeError for invalid ones."""
         if colours is None:
             return None
         if not self.takes_colours:
@@ -147,17 +157,17 @@ class LatentSpace(ABC):
 
     @abstractmethod
     def embedding_bands(self, n_bands: int) -> Indices:
-        """Return the bands whose values are compared to find a latent."""
+        """Return the indices of the bands whose values are compared to locate a material."""
 
     def samples(self, mapped: Array, cosines: Array) -> tuple[Array, Array]:
         """Reshape mapped values (N, B_e, P) to training samples (n, P'), and cosines (P,) to (P',).
 
-        By default a row holds one embedding band of a material.
+        By default a training sample is one embedding band of a material.
         """
         return mapped.reshape(-1, mapped.shape[2]), cosines
 
     def embedding_pairs(self, is_isotropic: bool = True) -> Pairs:
-        """Return the direction pairs at which new isotropic or anisotropic materials are compared with predictions."""
+        """Return the direction pairs at which new materials are compared with predictions."""
         return encoding_pairs(is_isotropic)
 
     @abstractmethod
@@ -171,7 +181,7 @@ class LatentSpace(ABC):
     def left_out_search(
         self, table: MaterialTable, materials: MaterialCache, settings: Settings
     ) -> LeftOutSearch:
-        """Return a search for the place of each material among the others, which keep their places."""
+        """Return a function that locates each material among the others, whose latents stay fixed."""
 
     def combination(self, x: Array, colours: Array | None, mapping: ValueMapping) -> Combination:
         """Return the weighted sum of a prediction at a latent x (Q,); at a training latent, only that material."""
@@ -181,12 +191,12 @@ class LatentSpace(ABC):
         return Combination(mapping, self.weights(x, colours))
 
     def training_index(self, x: Array, colours: Array | None) -> int | None:
-        """Return the material whose latent x (Q,) and colours (B,) these are."""
+        """Return the index of the material with this latent x (Q,) and these colours (B,), otherwise None."""
         k = int(first_equal_row(x[None], self.X)[0])
         return k if k >= 0 else None
 
     def training_indices(self, X: Array, colours: Array | None) -> Indices:
-        """Return the material at each of the latents X (M, Q) with these colours (B,), or -1, shape (M,)."""
+        """Return the index of the material at each latent X (M, Q) with these colours (B,), or -1, shape (M,)."""
         found = first_equal_row(X, self.X)
         for m in np.flatnonzero(found >= 0):
             index = self.training_index(X[m], colours)
@@ -194,17 +204,17 @@ class LatentSpace(ABC):
         return found
 
     def variance_fraction(self, X: Array, colours: Array | None) -> Array:
-        """Return posterior over prior variance at X (M, Q), shape (M,); 0 at a material."""
+        """Return the posterior over the prior variance at latents X (M, Q), shape (M,); it is 0 at a material."""
         return np.where(self.training_indices(X, colours) < 0, self.gp.variance_fraction(X), 0.0)
 
 
 def fixed_colours(kind: str) -> str:
-    """Return the reason why no colour can be chosen, and the remedy."""
-    return f"colours cannot be chosen on a manifold of kind {kind}; leave the colour out, or embed with kind blend"
+    """Return a message that explains why no colour can be given for a kind of model, and what to do."""
+    return f"colours cannot be given for a manifold of kind {kind}; leave the colour out, or embed with kind blend"
 
 
 def require_shapes(stored: Mapping[str, Array], shapes: Mapping[str, tuple[int, ...]]) -> list[Array]:
-    """Return the arrays of a file with these names. Raises ValueError unless they have these shapes."""
+    """Return the arrays of a file with these names. Raises ValueError unless they have the expected shapes."""
     for name, shape in shapes.items():
         if stored[name].shape != shape:
             raise ValueError(f"dataset '{name}' has shape {stored[name].shape}, expected {shape}")
@@ -212,7 +222,7 @@ def require_shapes(stored: Mapping[str, Array], shapes: Mapping[str, tuple[int, 
 
 
 def require_bands(stored: Mapping[str, Array], n_bands: int) -> Indices:
-    """Return band indices of a file as integers. Raises ValueError unless they increase and these bands exist."""
+    """Return the band indices of a file as integers. Raises ValueError unless they increase and these bands exist."""
     bands = stored["bands"].astype(np.int64)
     if not np.all(np.diff(bands) > 0) or bands.min() < 0 or bands.max() >= n_bands:
         raise ValueError(f"dataset 'bands' holds {bands.tolist()}, expected increasing bands")

@@ -1,4 +1,4 @@
-"""Measured files described by a manifold or by the materials of a library, with the errors of that."""
+"""Describes measured files by a manifold or by the materials of a library, and measures the errors."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ class Reconstruction(Result):
     """A measured material expressed by other materials.
 
     Attributes:
-        materials: how many others there are.
-        errors: of the description.
-        plausibility: of the file that it was written to, or would have been; None where none was asked for.
+        materials: number of materials that were available for the description.
+        errors: errors of the description.
+        plausibility: physical plausibility of the output file, written or refused; None if no file was requested.
         diagnostics: defects found, as sentences.
-        refusal: why the file was not written, else None.
-        rotation_rad: azimuth by which an anisotropic sample lay turned against the materials, found by trial; the
-            description is turned likewise.
+        refusal: reason why the file was not written; None if it was.
+        rotation_rad: azimuth by which an anisotropic specimen was turned relative to the materials, found by trial;
+            the description is turned by the same angle.
     """
 
     brdf: PredictedBRDF
@@ -48,7 +48,7 @@ class Reconstruction(Result):
     @property
     @derived()
     def parts(self) -> list[tuple[str, float]]:
-        """Materials and analytic lobes with the largest shares of the weights."""
+        """Return the materials and analytic lobes with the largest shares of the weights."""
         return self.brdf.parts[:_SHOWN_PARTS]
 
     errors: Errors[float] = field(
@@ -65,7 +65,7 @@ class Reconstruction(Result):
         ),
     )
     def rotation_deg(self) -> float:
-        """Azimuth by which the sample lay turned, in degrees."""
+        """Return the azimuth by which the specimen was turned, in degrees."""
         return float(np.rad2deg(self.rotation_rad))
 
     plausibility: Plausibility | None = field(
@@ -78,13 +78,14 @@ class Reconstruction(Result):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Located(Reconstruction):
-    """A measured material at its place on a manifold: the prediction there, in the colours found.
+    """A measured material located on a manifold, and the prediction there in the colours found.
 
     Attributes: those of `Reconstruction`, and
-        latent: shape (Q,).
-        coordinates: the same, with the digits that reproduce the prediction there.
-        colours: colour coordinate of every band (B,), of a blend also its gain (2, B); None where latents fix them.
-        expected: None where the model is not calibrated.
+        latent: latent of the material, shape (Q,).
+        coordinates: the latent as text, with the digits that reproduce the prediction.
+        colours: colour coordinate of every band (B,), for blends also its gain (2, B); None if latents determine the
+            colours.
+        expected: expected error; None if the model is not calibrated.
         nearest: the three nearest materials with their distances.
     """
 
@@ -96,10 +97,10 @@ class Located(Reconstruction):
 
 
 def locate(model: Manifold, file: BsdfFile) -> Located:
-    """Embed a measured file, with its unmeasured cells filled, in a fitted manifold.
+    """Locate a measured file, with its unmeasured cells filled, on a fitted manifold.
 
     Raises:
-        BandMismatchError: its bands are not the library's.
+        BandMismatchError: the file has other bands than the library.
     """
     return locate_brdf(model, *_filled(file), trial_rotations(file))
 
@@ -107,9 +108,9 @@ def locate(model: Manifold, file: BsdfFile) -> Located:
 def locate_brdf(
     model: Manifold, brdf: BRDF, notes: tuple[str, ...] = (), rotations_rad: Sequence[float] = (0.0,)
 ) -> Located:
-    """Embed any BRDF in a fitted manifold; notes on it become diagnostics.
+    """Locate any BRDF on a fitted manifold; `notes` are added to the diagnostics.
 
-    A measured file may lie turned by one of several azimuths.
+    The BRDF is tried at each of the azimuths `rotations_rad`, and the best is kept.
     """
     trials = [0.0] if model.materials.is_isotropic else rotations_rad
     rotation, embedding = min(
@@ -145,7 +146,7 @@ def reconstruct_file(
 ) -> Reconstruction:
     """Describe a measured file by non-negative least squares over the other materials of a library.
 
-    `numbers` limits the numbers of the description, see `reconstruct`.
+    `numbers` limits the number of parameters of the description, see `reconstruct`.
     """
     names = names_without(library, without)
     if not names:
@@ -183,7 +184,7 @@ def _filled(file: BsdfFile) -> tuple[MeasuredBRDF, tuple[str, ...]]:
 
 
 def trial_rotations(file: BsdfFile) -> list[float]:
-    """Return candidate rotations of a sample: 0, and those that align the main spread of its normals with x or y."""
+    """Return candidate rotations in radians: 0, and those that align the spread of the normals with x or y."""
     if file.is_isotropic:
         return [0.0]
     rotation = rotation_of(file) or 0.0

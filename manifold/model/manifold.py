@@ -59,12 +59,12 @@ EXTRAPOLATION = 0.5  # share of the prior variance above which a latent counts a
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Standard deviations of the Gaussian process at places.
+    """The posterior standard deviation of the Gaussian process at one or several latents.
 
     Attributes:
-        std: of the posterior, in `unit`, a number or shape (M,).
-        relative: the same, over that of the prior.
-        unit: what the outputs are whose deviation this is, in words.
+        std: posterior standard deviation, in `unit`, a number or shape (M,).
+        relative: posterior over prior standard deviation, a number or shape (M,).
+        unit: text that names the outputs of the process.
     """
 
     std: Array
@@ -73,7 +73,7 @@ class Posterior:
 
     @property
     def words(self) -> str:
-        """Return the deviation at one place in words."""
+        """Return a text that states the standard deviation at one latent."""
         return f"{self.std:.3g} of {self.unit}; {self.relative:.2g} of the prior's"
 
     def to_json(self) -> dict[str, Any]:
@@ -96,8 +96,8 @@ class Manifold(Embedding):
         if not fitted or not isinstance(fitted[0], MaterialCache):
             found = ", ".join(map(repr, fitted))
             raise UsageError(
-                f"Manifold({found}): expected Manifold.load(path) of a model, 'built-in' among them, or "
-                "Manifold.fit(library)"
+                f"Manifold({found}): use Manifold.load(path) to load a model, such as 'built-in', or "
+                "Manifold.fit(library) to fit one"
             )
         super().__init__(*fitted)
         self._walked: dict[str, Walked] = {}
@@ -122,32 +122,32 @@ class Manifold(Embedding):
 
     @property
     def landmarks(self) -> Indices:
-        """The materials that were laid out, by default all, shape (M,)."""
+        """Return the indices of the landmarks, or of all materials if there are none, shape (M,)."""
         return np.arange(len(self.names)) if self.space.landmarks is None else self.space.landmarks
 
     @property
     def pictured(self) -> Indices:
-        """The materials that a picture shows with ball and name: all, or 80 of the landmarks, which cover the map."""
+        """Return the materials that a picture shows as named spheres: all, or 80 landmarks that cover the map."""
         return self.landmarks if self.space.landmarks is None else self.landmarks[:_PICTURED]
 
     @property
     def gp(self) -> GaussianProcess:
-        """The Gaussian process on the latents of the materials; predictions of blends take only its variance."""
+        """Return the Gaussian process on the latents of the materials; predictions of blends use only its variance."""
         return self.space.gp
 
     def weights(self, x: ArrayLike | PlaceLike, colours: Array | None = None) -> Array:
-        """Return the weights of materials at a place (Q,) or latents x (M, Q), shape (N,) or (M, N); they sum to 1."""
+        """Return the weights of the materials at a place or latents x (M, Q), shape (N,) or (M, N); they sum to 1."""
         return self._at(x, colours, self.space.material_weights)
 
     def std(self, x: ArrayLike | PlaceLike, colours: Array | None = None) -> Array:
-        """Return the posterior over prior standard deviation at a place (Q,) or latents x (M, Q), in [0, 1]."""
+        """Return the posterior over the prior standard deviation at a place or latents x (M, Q), from 0 to 1."""
         return np.sqrt(self._at(x, colours, self.space.variance_fraction))
 
     def posterior(self, x: ArrayLike | PlaceLike) -> Posterior:
         """Return the posterior standard deviation at a place (Q,) or latents x (M, Q), in the unit of the outputs.
 
-        The outputs of the process are `sqrt(cos(theta_i) cos(theta_o)) T(f)`, or `T(f)` as published, T the mapping and
-        f in 1/sr. They share one variance, so the deviation is that of each of them.
+        The outputs of the process are `sqrt(cos(theta_i) cos(theta_o)) T(f)`, or `T(f)` in the published method, with
+        the mapping T and f in 1/sr. All outputs share one variance.
 
         Raises:
             UsageError: the model is of kind blend, whose predictions are not those of a Gaussian process.
@@ -164,10 +164,8 @@ class Manifold(Embedding):
     def is_extrapolation(self, x: ArrayLike | PlaceLike, colours: Array | None = None) -> Mask:
         """Return whether the data do not support predictions at a place (Q,) or latents x (M, Q).
 
-        See `LeftOut.is_unsupported`.
-
-        For a model that is not calibrated: whether the posterior variance exceeds half of the prior's. Not of a step of
-        a walk.
+        See `LeftOut.is_unsupported`. For a model that is not calibrated, the result is whether the posterior variance
+        exceeds half of the prior variance. A step of a walk is never an extrapolation.
         """
         left_out = self.left_out
         if self._is_step(x, colours):
@@ -180,14 +178,12 @@ class Manifold(Embedding):
     def expected_error(
         self, x: ArrayLike | PlaceLike, colours: Array | None = None, residual: float | None = None
     ) -> Errors[Array] | None:
-        """Return expected errors of predictions at a place (Q,) or latents x (M, Q).
+        """Return the expected errors of predictions at a place (Q,) or latents x (M, Q).
 
-        They hold for a material with these colours, or, without colours, with those blended from the
-        surrounding materials.
-
-        0 at a material's own latent, where the prediction is its file; None if the model is not calibrated, or for a
-        step of a walk, which does not use the map. `residual` is that of an `Embedded` material, which tells more of
-        its error than its place does.
+        They hold for a material with the given colours or, without colours, with colours blended from the surrounding
+        materials. They are 0 at a material's own latent, where the prediction is its file. The result is None if the
+        model is not calibrated, and for a step of a walk, which does not use the map. `residual` is the residual of
+        an `Embedded` material, which makes the estimate more accurate.
         """
         if self.left_out is None or self._is_step(x, colours):
             return None
@@ -217,9 +213,9 @@ class Manifold(Embedding):
         return [(self.names[k], float(weights[k])) for k in order if weights[k] != 0]
 
     def unmeasured_share(self, x: PlaceLike, colours: Array | None = None) -> float:
-        """Return the share of unmeasured cells at a latent x (Q,), averaged over materials by magnitude of weight.
+        """Return the share of unmeasured cells at a place x, averaged over materials by magnitude of weight.
 
-        A step of a walk, whose ends need not be materials of the model, averages over the ends by t.
+        For a step of a walk it is averaged over the two materials by t.
         """
         place = self.place(x)
         if place.walk is not None and place.is_step(colours):
@@ -284,20 +280,18 @@ class Manifold(Embedding):
 
     @property
     def bands(self) -> Bands:
-        """The spectral axis of the library."""
+        """Return the spectral bands of the library."""
         return self.library.bands
 
     @cached_property
     def mapping(self) -> ValueMapping:
-        """The mapping of BRDF values."""
+        """Return the mapping of BRDF values."""
         return MAPPINGS[self.settings.mapping]
 
     def material(self, name: str) -> MeasuredBRDF:
         """Return a measured material as predictions use it, with its unmeasured cells filled.
 
-        See docs/explanation/gplvm.md.
-
-        The file itself is `library.read(name)`.
+        See docs/explanation/gplvm.md. `library.read(name)` returns the file itself.
 
         Raises:
             UsageError: the model has no such material.
@@ -306,22 +300,22 @@ class Manifold(Embedding):
         return self.materials.measured(name)
 
     def prepare(self) -> None:
-        """Load what all predictions need: the materials."""
+        """Load the materials, which all predictions need."""
         self.materials.filled()
 
     # -- predicting ----------------------------------------------------------------------------------------
 
     @cached_property
     def colours(self) -> ReflectanceColours:
-        """Colours of predictions, by reflectances: what `predict` takes for a spectrum or another material's.
+        """Return the converter from reflectances or material names to the colour coordinates that `predict` takes.
 
         Raises:
-            UsageError: its materials have fixed colours.
+            UsageError: the colours of this kind of model cannot be changed.
         """
         return ReflectanceColours(self.space, self.materials, self.settings)
 
     def choose_colour(self, x: PlaceLike, choice: ColourChoice) -> ChosenColour:
-        """Find the colours of the structure at a place x."""
+        """Return the colour coordinates that give the prediction at a place x the given colour."""
         if not self.space.takes_colours:
             if choice != NEAREST:
                 raise UsageError(fixed_colours(self.space.kind))
@@ -347,20 +341,20 @@ class Manifold(Embedding):
         self, x: Sequence[Array] | Sequence[Sequence[float]], colours: Array | None = None,
     ) -> list[PredictedBRDF]: ...  # fmt: skip
     def predict(self, x: Any, colours: Array | None = None) -> PredictedBRDF | list[PredictedBRDF]:
-        """Return the BRDF at a latent x (Q,), or a list at latents (M, Q).
+        """Return the predicted BRDF at a latent x (Q,), or a list of predictions at latents (M, Q).
 
-        At a training latent it is `material`, bit for bit.
+        At the latent of a material, the prediction equals `material`, bit for bit.
 
         Args:
-            x: latent, the name of a material, or `FROM:TO:T` on the walk between two, which `interpolate` makes
-                unless colours are given.
-            colours: colour coordinate of every band, shape (B,), as `colours.of_reflectance` gives them; of blends
-                also with gains, shape (2, B), as `embed` does. None blends the colours of the surrounding materials.
+            x: a latent, the name of a material, or `FROM:TO:T` for a step of the walk between two materials, which
+                `interpolate` computes unless colours are given.
+            colours: colour coordinate of every band, shape (B,), from `colours.of_reflectance`; for blends also with
+                gains, shape (2, B), from `embed`. None blends the colours of the surrounding materials.
 
         Raises:
-            LatentError: x is not (Q,) or not finite.
-            UsageError: colours for a manifold of kind `gplvm`, or no such material.
-            ShapeError: colours have another shape, are not finite or negative, or are black in all bands.
+            LatentError: x does not have Q coordinates, or is not finite.
+            UsageError: colours are given for a manifold of kind `gplvm`, or there is no such material.
+            ShapeError: the colours have another shape, are negative or not finite, or are black in all bands.
         """
         # As objects, rows of different lengths are no error here; `place` reports them.
         if np.asarray(x, dtype=object).ndim == 2:
@@ -400,16 +394,16 @@ class Manifold(Embedding):
 
     @property
     def gram(self) -> Gram:
-        """The Gram matrix of the mapped materials, not centred, and D.
+        """Return the Gram matrix of the mapped materials, not centred, and the number of outputs D.
 
         Raises:
-            UsageError: the model is of kind blend, which has none.
+            UsageError: the model is of kind blend, which has no Gram matrix.
         """
         space = self._whole_materials()
         return Gram(space.S, space.n_outputs)
 
     def eq15(self, x: Any) -> LengthScaleBound:
-        """Return both sides of the condition on the length scale at latents x (Q,) or (M, Q).
+        """Return both sides of the bound on the length scale at latents x (Q,) or (M, Q).
 
         Raises:
             UsageError: the model is of kind blend.
@@ -427,10 +421,10 @@ class Manifold(Embedding):
         return self.space
 
     def interpolate(self, a: str, b: str, t: float) -> PredictedBRDF:
-        """Return the step of a walk from material a (t = 0) to b (t = 1), made of these two; see `model.walks`.
+        """Interpolate between material a (t = 0) and material b (t = 1), using only these two; see `model.walks`.
 
-        Steps of equal size in t look equally large, and roughness goes from one to the other. The map has no part in
-        it: `predict(between(a, b, t))` is what lies between the two on the map.
+        Equal steps in t look equally large, and the roughness changes from one material to the other. The map is not
+        used; `predict(between(a, b, t))` predicts from the line between both on the map instead.
 
         Raises:
             UsageError: the model has no such material, or t is not from 0 to 1.
@@ -442,19 +436,19 @@ class Manifold(Embedding):
         return Walk((start, end), (self.walked(a), self.walked(b))).at(t)
 
     def walked(self, name: str) -> Walked:
-        """Return a material prepared as the end of a walk, cached."""
+        """Return a material prepared as the end of a walk; the result is cached."""
         if name not in self._walked:
             self._walked[name] = Walked.of(self.materials.filled([name])[0])
         return self._walked[name]
 
     def embed(self, brdf: BRDF) -> Embedded:
-        """Find the latent, and colours, whose decoded prediction is nearest to a material's data.
+        """Find the latent and colours whose prediction is nearest to a material's data.
 
         Args:
             brdf: a material in the bands of the library.
 
         Raises:
-            BandMismatchError: it has other bands.
+            BandMismatchError: the material has other bands than the library.
             ShapeError: its `eval` returns another shape, or values that are not finite.
         """
         require_brdf(brdf, "the material to embed")
@@ -475,15 +469,15 @@ class Manifold(Embedding):
     def reconstruct(self, brdf: BRDF, numbers: int | None = None) -> PredictedBRDF:
         """Reconstruct a material by non-negative least squares over all samples and analytic lobes, in every band.
 
-        It has no latent; see docs/explanation/reconstruction.md.
+        The result has no latent; see docs/explanation/reconstruction.md.
 
         Args:
             brdf: the material, in the bands of the model.
-            numbers: that may describe it, e.g. 12; by default as many as it takes.
+            numbers: largest number of parameters of the description, for example 12; None sets no limit.
 
         Raises:
-            UsageError: it is black, or `numbers` is below 1.
-            BandMismatchError: its bands are not the model's.
+            UsageError: the material is black, or `numbers` is below 1.
+            BandMismatchError: the material has other bands than the model.
             ShapeError: its `eval` returns another shape, or values that are not finite.
         """
         require_brdf(brdf, "the material to reconstruct")
@@ -503,7 +497,10 @@ def _model(path: Path, changed_ns: int, library: Path | None) -> tuple[Manifold,
 
 
 def load_model(model: Manifold | Path | str, library: Path | str | None) -> Manifold:
-    """Load a model, again only if its file or its library has changed; a `Manifold` is returned itself."""
+    """Load a model, or return it from a cache if its file and library are unchanged.
+
+    A `Manifold` is returned as it is.
+    """
     if isinstance(model, Manifold):
         return model
     path = shipped.resolved(model)
@@ -520,8 +517,5 @@ def load_model(model: Manifold | Path | str, library: Path | str | None) -> Mani
 
 
 def built_in() -> Manifold:
-    """Return the map of the built-in library: 20 measured RGB materials of the RGL database (Dupuy & Jakob, CC0 1.0).
-
-    Its `library` holds the materials.
-    """
+    """Return the built-in model of 20 measured RGB materials of the RGL database (Dupuy & Jakob, CC0 1.0)."""
     return Manifold.load(shipped.BUILT_IN)

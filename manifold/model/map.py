@@ -1,4 +1,4 @@
-"""A picture of the map of a library, as SVG."""
+"""Draws the map of a library as SVG."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _SIZE, _MARGIN = np.array([560.0, 400.0]), np.array([90.0, 24.0])
 
 
 def map_svg(X: Array, names: Sequence[str]) -> str:
-    """Return an SVG picture of latents X (N, Q) and names; one dimension is drawn along a line."""
+    """Return an SVG picture of latents X (N, Q) with their names; a map of one dimension is drawn along a line."""
     X = np.column_stack([X, np.zeros(len(X))])[:, :2]
     low, span = X.min(axis=0), np.maximum(np.ptp(X, axis=0), 1e-9)
     places = (X - low) / span * (_SIZE - 2.0 * _MARGIN) + _MARGIN

@@ -1,4 +1,4 @@
-"""The measured materials of a manifold, read from its library on first use, and their values in a few bands."""
+"""Reads the measured materials of a manifold from its library at first use, in all or a few bands."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ class MaterialCache:
     They are available as measured, with unmeasured cells filled, and in a few bands only.
 
     Attributes:
-        is_nonnegative: whether negative values are taken for 0 where materials are combined; RGB files have some,
-            colours outside sRGB.
-        fills_cells: whether unmeasured cells are filled; otherwise they keep their zeros.
+        is_nonnegative: whether negative values are treated as 0 when materials are combined; RGB files have negative
+            values for colours outside sRGB.
+        fills_cells: whether unmeasured cells are filled; otherwise they stay zero.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class MaterialCache:
 
     @cached_property
     def is_isotropic(self) -> bool:
-        """Return whether all materials are isotropic; others need direction pairs of all azimuths."""
+        """Return whether all materials are isotropic; anisotropic materials need direction pairs of all azimuths."""
         return all(self.library.attributes(name).is_isotropic for name in self.names)
 
     @cached_property
@@ -99,14 +99,11 @@ class MaterialCache:
         return self._measured[name]
 
     def filled(self, names: Iterable[str] | None = None) -> list[MeasuredBRDF]:
-        """Return materials with their unmeasured cells filled, as predictions combine them; all by default."""
+        """Return materials, by default all, with their unmeasured cells filled, as predictions combine them."""
         return self._read(self._fill, self.names if names is None else tuple(names))
 
     def with_negative_values(self, names: Sequence[str] | None = None) -> list[MeasuredBRDF]:
-        """Return materials, by default all, as references for errors.
-
-        Unmeasured cells are filled, negative values kept.
-        """
+        """Return materials, by default all, as references for errors: with filled cells, and with negative values."""
         names = self.names if names is None else names
         filled = self.filled(names)
         return [
@@ -115,7 +112,10 @@ class MaterialCache:
         ]
 
     def in_bands(self, bands: Sequence[int], names: Iterable[str] | None = None) -> list[MeasuredBRDF]:
-        """Return materials, by default all, unmeasured cells filled, in some of their bands; only these are cached."""
+        """Return materials, by default all, in some of their bands, with unmeasured cells filled.
+
+        Only these are cached.
+        """
         key = tuple(int(b) for b in bands)
         if self._in_bands[0] != key:
             self._in_bands = key, _Latest()
@@ -132,7 +132,7 @@ class MaterialCache:
         return self._read(read, self.names if names is None else tuple(names))
 
     def stream(self) -> Iterator[MeasuredBRDF]:
-        """Yield all materials as `filled` has them, one after another, without caching."""
+        """Yield all materials with their unmeasured cells filled, one after another, without caching."""
         for first in range(0, len(self.names), _AT_ONCE):
             some = self.names[first : first + _AT_ONCE]
             with progress.listen(None):
@@ -150,7 +150,7 @@ class MaterialCache:
         return fill_unmeasured(file, cells, copy=False) if self.fills_cells else file
 
     def filled_file(self, name: str) -> BsdfFile:
-        """Return `measured_file`; for blends with negative values set to 0."""
+        """Return `measured_file`, for blends with negative values set to 0."""
         file = self.measured_file(name)
         if self.is_nonnegative and file.spectra.min() < 0:
             self._cut.add(name)
@@ -158,16 +158,16 @@ class MaterialCache:
         return file
 
     def unmeasured_share(self, name: str) -> float:
-        """Return the share of the cells above the horizon that a file has no measurement for."""
+        """Return the share of a file's cells above the horizon that were not measured."""
         if name not in self._unmeasured_shares:
             self.measured_file(name)
         return self._unmeasured_shares[name]
 
     @property
     def farthest_turned(self) -> tuple[str, str, float]:
-        """Return the two materials read that lie turned most against each other, and the angle in radians.
+        """Return the two loaded materials with the largest angle between their orientations, and the angle in radians.
 
-        The angle is at most a quarter of a turn; it is 0 if the normals of fewer than two have a direction.
+        The angle is at most a quarter of a turn; it is 0 if fewer than two materials have an orientation.
         """
         apart = [
             (a, b, abs((self._turned[a] - self._turned[b] + 0.5 * np.pi) % np.pi - 0.5 * np.pi))
@@ -195,7 +195,7 @@ class MaterialCache:
 
 
 def names_among(library: Library, names: Collection[str]) -> tuple[str, ...]:
-    """Return some materials of a library, in its order. Raises UsageError if it lacks one."""
+    """Return the named materials of a library, in its order. Raises UsageError for an unknown name."""
     names = {names} if isinstance(names, str) else names
     unknown = sorted(set(names) - set(library.names))
     if unknown:
@@ -205,7 +205,7 @@ def names_among(library: Library, names: Collection[str]) -> tuple[str, ...]:
 
 
 def names_without(library: Library, names: Collection[str]) -> tuple[str, ...]:
-    """Return the other materials of a library, in its order. Raises UsageError if it lacks a named one."""
+    """Return all materials of a library except the named ones, in its order. Raises UsageError for an unknown name."""
     left_out = names_among(library, names)
     return tuple(name for name in library.names if name not in left_out)
 
@@ -214,7 +214,7 @@ _PREDICTED_AT_ONCE = 8  # predictions evaluated together
 
 
 class MaterialTable:
-    """Materials in some bands (B,), increasing, and the errors of predictions of them."""
+    """Materials in some increasing bands (B,), for measuring the errors of their predictions."""
 
     def __init__(self, materials: Sequence[MeasuredBRDF], bands: Indices) -> None:
         """Select the bands of all materials."""
@@ -224,16 +224,16 @@ class MaterialTable:
 
     @cached_property
     def on_ball(self) -> Values:
-        """Return the values at the direction pairs that light the balls."""
+        """Return the values at the direction pairs of the rendered spheres."""
         return Values.at(self.materials, self.lights)
 
     @cached_property
     def balls(self) -> list[Array]:
-        """CIE XYZ (K, 3) of the materials' balls in the judged lights."""
+        """Return the CIE XYZ values (K, 3) of every material's rendered sphere in the five test lights."""
         return [self.lights.xyz(f, self.materials[0].bands) for f in self.on_ball.f]
 
     def ball(self, combination: Combination) -> Array:
-        """Return CIE XYZ (K, 3) of the ball of a prediction in the judged lights."""
+        """Return the CIE XYZ values (K, 3) of a prediction's rendered sphere in the five test lights."""
         (f,) = evaluate([combination.in_bands(self.bands)], self.on_ball)
         return self.lights.xyz(f, self.materials[0].bands)
 
@@ -242,11 +242,11 @@ class MaterialTable:
         return Values.at(self.materials, self._pairs)
 
     def look(self, i: int, f: Array) -> Errors[float]:
-        """Return the differences between the balls of material i and of values f (P, B) in 1/sr."""
+        """Return the differences between the rendered spheres of material i and of values f (P, B) in 1/sr."""
         return self.lights.compare(self.balls[i], self.lights.xyz(f, self.materials[0].bands))
 
     def looks(self, combinations: Sequence[Combination]) -> Errors[Array]:
-        """Return the differences between the balls of all materials and of a prediction of each."""
+        """Return the differences between the rendered spheres of all materials and of one prediction for each."""
         here = [c.in_bands(self.bands) for c in combinations]
         found: list[Errors[float]] = []
         for first in range(0, len(here), _PREDICTED_AT_ONCE):

@@ -1,10 +1,10 @@
-"""Model files: HDF5, read after their hash was verified.
+"""Reads and writes model files, which are HDF5; a file is read only if its hash is right.
 
     bytes 0 to 511      the user block: magic, format version, SHA-256 of all other bytes
     the rest            HDF5: the arrays in `space`, and `record`
 
-`record` is JSON in UTF-8: names, settings, statistics, the library. The measured data stay in the library, which is
-named by its place relative to the model, by its address, or as `built-in`, and by the hash of its content.
+`record` is JSON in UTF-8 with names, settings, statistics and the library. The measured data stay in the library. The
+record names the library by its path relative to the model, by its address, or as `built-in`, and holds its hash.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from manifold.model.settings import KINDS, Settings
 FORMAT = "manifold-model"
 FORMAT_VERSION = 4
 LAYOUT = "neighbourhoods"
-"""How maps of blends are laid out. Files of version 0.4 name no layout."""
+"""Name of the method that lays out maps of blends; files of version 0.4 have no such name."""
 OLD_LAYOUT = "laid out by version 0.4: run `manifold embed` again to place similar materials closer together"
 _ADDED_SETTINGS = {"as_published": False}  # of earlier files of this version, which lack them
 _OLD_KINDS = {"material": "gplvm"}  # names of earlier versions
@@ -53,10 +53,10 @@ class ModelRecord:
     """The content of a model file.
 
     Attributes:
-        library_hash: of its content when the model was fitted.
+        library_hash: hash of the library's content when the model was fitted.
         settings, statistics: plain values by name.
-        arrays: of the latent space, by name.
-        layout: of a map of blends; None of version 0.4.
+        arrays: arrays of the latent space, by name.
+        layout: name of the layout of a map of blends; None for files of version 0.4.
     """
 
     library: Path
@@ -69,18 +69,18 @@ class ModelRecord:
 
     @property
     def has_old_layout(self) -> bool:
-        """Whether it is a map of blends of version 0.4."""
+        """Return whether the model is a map of blends of version 0.4."""
         return self.layout is None and self.settings["kind"] == "blend"
 
     @property
     def n_bands(self) -> int | None:
-        """B, where the model holds reflectances; the kind `gplvm` holds none."""
+        """Return the number of bands if the model holds reflectances; None for kind `gplvm`."""
         found = self.arrays.get("reflectances")
         return None if found is None or found.ndim == 0 else found.shape[-1]
 
 
 def write_model(path: Path, record: ModelRecord) -> None:
-    """Write a model, atomically."""
+    """Write a model file, atomically."""
     values = {
         "library": _reference(record.library, path),
         "library_hash": record.library_hash,
@@ -115,7 +115,7 @@ def _reference(library: Path, path: Path) -> str:
 
 
 def read_model(path: Path) -> ModelRecord:
-    """Read a model, or the built-in one."""
+    """Read a model file, or the built-in model."""
     path = shipped.model_file(path)
     if not path.exists():
         raise MissingModelError(f"{path}: no such model; create one with `manifold embed`")
@@ -143,7 +143,7 @@ def read_model(path: Path) -> ModelRecord:
 
 
 def damaged(path: Path, error: Exception) -> ModelError:
-    """Return the error for a model whose content cannot be used."""
+    """Return the exception for a model file whose content is damaged."""
     reason = str(error).partition("\n")[0]
     return ModelError(f"{path}: not a readable model ({reason}); embed again")
 
@@ -197,11 +197,11 @@ def _finite(values: Any, name: str) -> Any:
 
 
 SPACES: dict[str, type[LatentSpace]] = {space.kind: space for space in (BlendSpace, GplvmSpace)}
-"""The kinds of latent space, by name."""
+"""Classes of latent spaces, by the name of their kind."""
 
 
 def open_library(path: Path, stored: ModelRecord, library: Library | Path | str | None) -> Library:
-    """Open the library of a model file, or the given one, if it was moved."""
+    """Open the library that a model file names, or the given library."""
     if library is None:
         library = stored.library
         if not shipped.exists(library):
@@ -227,7 +227,7 @@ def open_library(path: Path, stored: ModelRecord, library: Library | Path | str 
 
 
 def restore(path: Path, stored: ModelRecord) -> tuple[Settings, LatentSpace, LeftOut | None]:
-    """Restore settings, latent space, and errors of left-out materials from a model file."""
+    """Restore the settings, the latent space, and the errors of left-out materials from a model file."""
     try:
         held = _ADDED_SETTINGS | stored.settings
         kind = KINDS[_OLD_KINDS.get(str(held["kind"]), str(held["kind"]))]

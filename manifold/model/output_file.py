@@ -1,4 +1,4 @@
-"""A BRDF as an RGL file, measured by the virtual goniometer, made physical if asked, checked and written."""
+"""Writes a BRDF as an RGL file: measures it virtually, makes it physical on request, and checks it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from manifold.model import diagnostics
 from manifold.model.comparison import brdf_errors
 
 EXPECTED_ERROR = "expected_cube_root_error"
-"""Field of files of completions and predictions: expected relative error of cube roots, float32, shape (1,)."""
+"""Name of the field in files of completions and predictions that holds the expected cube-root error, float32, (1,)."""
 
 
 @dataclass(frozen=True)
@@ -32,10 +32,10 @@ class OutputOptions:
     """Options of the RGL file that is written from a BRDF.
 
     Attributes:
-        physical: project the file to non-negative values, reciprocity within 5 %, and albedo at most 1.
-        strict: refuse a file whose albedo exceeds 1.05, which is otherwise written with a warning.
-        resolution: nodes per axis of the outgoing grid; with `physical`, at least.
-        incidences: angles of incidence from 0 to 90 degrees, at least; see `output_file`.
+        physical: make the file non-negative, reciprocal within 5 %, and its albedo at most 1.
+        strict: refuse to write a file whose albedo exceeds 1.05; otherwise it is written with a warning.
+        resolution: nodes per axis of the outgoing grid; `physical` may increase it.
+        incidences: smallest number of angles of incidence from 0 to 90 degrees; see `output_file`.
     """
 
     physical: bool = False
@@ -47,19 +47,21 @@ class OutputOptions:
 DEFAULT_OPTIONS = OutputOptions()
 COMPLETION_OPTIONS = OutputOptions(incidences=FINE_INCIDENCES)
 FINE_OPTIONS = OutputOptions(resolution=48, incidences=FINE_INCIDENCES)
-"""The resolution of temporary files in place of a prediction.
+"""Options for temporary files that represent a prediction.
 
-Near mirror directions of 20 real files they differ by 0.2 to 7 % (median 1.3 %), where the default differs by
-3 to 18 % (median 6 %); see `plausibility.mirror_difference`.
+Near the mirror directions of 20 measured materials, such files differ from the prediction by 0.2 to 7 % (median
+1.3 %), files of the default options by 3 to 18 % (median 6 %); see `plausibility.mirror_difference`.
 """
 
 
 class OutputFile(NamedTuple):
-    """A BRDF as a file, and its plausibility.
+    """The file of a BRDF, and its physical plausibility.
 
     Attributes:
-        projection: what making it physical has changed, and what is left, as sentences; none where it was not asked.
-        change: errors of it with respect to what would be written without; None where it was not asked.
+        projection: sentences that say what making the file physical changed, and which faults remain; empty unless
+            this was requested.
+        change: errors of the physical file with respect to the file without this change; None unless it was
+            requested.
     """
 
     file: BsdfFile
@@ -78,10 +80,11 @@ def output_file(
 ) -> OutputFile:
     """Sample a non-negative BRDF into an RGL file.
 
-    A file whose albedo exceeds 1.05 is measured again with twice as many incidences, which resolve sharp highlights
-    near grazing, and returned so where its albedo then does not. A file with a valley beside its highlight is measured
-    again with a softer normal distribution; the better one of the two is returned. If it is to be physical, it is then
-    projected, with `keeps_hue` by the same scale in all bands where the albedo of one is too large.
+    If the albedo of the file exceeds 1.05, the BRDF is measured again with twice as many incidences, which resolve
+    sharp highlights near grazing, and the new file is used if its albedo does not exceed 1.05. If the file has a dip
+    beside its highlight, it is measured again with a softer normal distribution, and the better file is used. With
+    `physical`, the file is then made physical; with `keeps_hue`, all bands are scaled equally if the albedo of one is
+    too large.
     """
     measure = partial(
         goniometer.measure,
@@ -117,7 +120,7 @@ def output_file(
 
 
 def require_bsdf_output(output: Path) -> None:
-    """Raise UsageError, before the work is done, unless a path ends in `.bsdf` and can be written."""
+    """Raise UsageError unless a path ends in `.bsdf` and can be written; call it before the work begins."""
     if output.suffix != ".bsdf" or not material_name(output):
         raise UsageError(f"{output}: expected a name that ends in .bsdf")
     disk.require_writable(output)
@@ -125,12 +128,12 @@ def require_bsdf_output(output: Path) -> None:
 
 @dataclass(frozen=True)
 class WrittenFile:
-    """A file that was written, or refused.
+    """The outcome of writing a file, which may be refused.
 
     Attributes:
-        file: None where it was refused.
+        file: the written file; None if it was refused.
         projection, change: see `OutputFile`.
-        refusal: why it was not written, else None.
+        refusal: reason why the file was not written; None if it was.
     """
 
     plausibility: Plausibility
@@ -141,11 +144,11 @@ class WrittenFile:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Defects of the file, and what making it physical has changed, in sentences."""
+        """Return sentences about defects of the file, and about what making it physical changed."""
         return (*diagnostics.of_prediction(False, self.plausibility), *self.projection)
 
     def expected(self, errors: Errors[Number]) -> Errors[Number]:
-        """Add the change made by the physical projection to the expected errors of the BRDF."""
+        """Return the expected errors of the file: those of the BRDF, and the change by making the file physical."""
         return errors if self.change is None else errors.beside(self.change)
 
 
@@ -159,11 +162,11 @@ def write_output(
     keeps_hue: bool = False,
     expected_error: float | None = None,
 ) -> WrittenFile:
-    """Measure a BRDF without negative values by the virtual goniometer, and write the file, named as the material.
+    """Measure a non-negative BRDF with the virtual goniometer, and write the file.
 
-    A strict file is written only if its albedo is at most 1.05; otherwise a refusal ends in the remedy.
-
-    `expected_error`, of cube roots, relative, is kept as the file's field `EXPECTED_ERROR`.
+    The material is named after the file. With `strict`, the file is refused if its albedo exceeds 1.05; the refusal's
+    text ends with `remedy`. `expected_error`, a relative error of cube roots, is stored in the field
+    `EXPECTED_ERROR`.
     """
     name = material_name(output)
     file, plausibility, projection, change = output_file(

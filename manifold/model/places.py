@@ -1,4 +1,4 @@
-"""Places on a map of materials: latents, names of materials, and steps of walks between two."""
+"""Parses places on a map of materials: latents, names of materials, and steps of walks between two materials."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ class Place:
     """A place on a map of materials.
 
     Attributes:
-        latent: shape (Q,); of a step of a walk, that on the straight line, where it is predicted in other colours.
-        walk: the materials and t of `FROM:TO:T`, a step of the walk between them; None for other places.
-        rotation_rad: azimuth by which an anisotropic sample lies turned there, against the materials of the map.
+        latent: latent, shape (Q,); for a step of a walk, the point on the straight line, which is used if colours are
+            given.
+        walk: the two materials and t of `FROM:TO:T`, a step of the walk between them; None for other places.
+        rotation_rad: azimuth by which an anisotropic specimen is turned relative to the materials of the map.
     """
 
     latent: Array
@@ -29,27 +30,27 @@ class Place:
     rotation_rad: float = 0.0
 
     def is_step(self, colours: Array | None) -> bool:
-        """Return whether the prediction here is a step of the walk, made of its two materials and not of a latent.
+        """Return whether the prediction is a step of a walk, computed from its two materials and not from the latent.
 
-        It is none in colours of its own.
+        If colours are given, the prediction uses the latent, and the result is False.
         """
         return self.walk is not None and colours is None
 
     @property
     def walk_in_words(self) -> str:
-        """Return the position on the walk in words."""
+        """Return a text that states the position on the walk."""
         return "" if self.walk is None else "between {} and {}, t = {:g}".format(*self.walk)
 
 
 PlaceLike = Place | Array | Sequence[float] | str
-"""A place; a latent (Q,); or as text: the name of a material that lies there, `FROM:TO:T` on the walk between two
-materials, or coordinates with commas between. A material called `0,0` takes precedence over these coordinates."""
+"""A `Place`, a latent (Q,), or a text: the name of a material, `FROM:TO:T` for a step of the walk between two
+materials, or coordinates separated by commas. A material called `0,0` takes precedence over these coordinates."""
 
 
 def parse_walk(text: str, names: Collection[str]) -> tuple[str, str, float] | None:
     """Return the two materials and t of `FROM:TO:T`; None for a name or a text of another form.
 
-    Names may hold colons: the text is split in the way that gives two materials.
+    Names may contain colons; the text is split where both parts are names of materials.
     """
     *parts, last = text.split(":")
     ways = [(":".join(parts[:k]), ":".join(parts[k:])) for k in range(1, len(parts))]
@@ -71,19 +72,19 @@ def parse_walk(text: str, names: Collection[str]) -> tuple[str, str, float] | No
 
 
 def require_between(t: float) -> None:
-    """Raise UsageError unless 0 <= t <= 1: between two materials."""
+    """Raise UsageError unless 0 <= t <= 1."""
     if not 0.0 <= t <= 1.0:
         raise UsageError(f"t = {t:g}, expected a number from 0 (the first material) to 1 (the second)")
 
 
 def on_line(start: Array, end: Array, t: float) -> Array:
-    """Return the latent at t from 0 to 1 between two (Q,), exact at both ends and for equal ends."""
+    """Return the latent at t, from 0 to 1, on the line between two latents (Q,); it is exact at both ends."""
     way = end - start
     return start + t * way if t < 0.5 else end - (1.0 - t) * way
 
 
 def parse_coordinates(text: str) -> list[float] | None:
-    """Return the numbers of `-0.3,1.2`; None for another text."""
+    """Return the numbers of a text such as `-0.3,1.2`; None for another text."""
     try:
         return [float(part) for part in text.split(",")]
     except ValueError:
@@ -91,12 +92,12 @@ def parse_coordinates(text: str) -> list[float] | None:
 
 
 def is_place(text: str) -> bool:
-    """Return whether a text has the form of coordinates or of `FROM:TO:T`, whatever the materials."""
+    """Return whether a text has the form of coordinates or of `FROM:TO:T`, whether or not the materials exist."""
     return parse_coordinates(text) is not None or parse_walk(text, ()) is not None
 
 
 def require_latent(x: ArrayLike, latent_dim: int) -> Array:
-    """Return one latent as float64 (Q,)."""
+    """Return one latent as float64, shape (Q,), after checking it."""
     x = _numbers(x)
     if x.ndim > 1:
         raise LatentError(f"latents of shape {x.shape}, expected one, ({latent_dim},)")
@@ -109,7 +110,7 @@ def require_latent(x: ArrayLike, latent_dim: int) -> Array:
 
 
 def require_latents(x: ArrayLike, latent_dim: int) -> Array:
-    """Return one latent (Q,) or several (M, Q) as float64."""
+    """Return one latent (Q,) or several latents (M, Q) as float64, after checking them."""
     x = _numbers(x)
     if x.ndim not in (1, 2) or x.shape[-1] != latent_dim or not np.all(np.isfinite(x)):
         raise LatentError(

@@ -1,4 +1,4 @@
-"""Predicted BRDFs: weighted sums of measured ones in a mapped domain, evaluated lazily; and samples of their lobes."""
+"""Predicted BRDFs: weighted sums of measured BRDFs in a mapped domain, evaluated on demand, and their sampling."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from manifold.model.combination import Combination
 
 
 class LobeSampling:
-    """A density that covers lobes: normals of every distribution that has a weight, and a cosine lobe."""
+    """Samples directions of analytic lobes from their normal distributions and a cosine lobe."""
 
     def __init__(self, lobes: Lobes, weights: Array) -> None:
         """Sample lobes in proportion to weights (n_l,), at least 0 and not all zero."""
@@ -56,9 +56,9 @@ class LobeSampling:
         return density
 
     def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
-        """Return outgoing directions (P, 3) and their pdf (P,), 0 for invalid ones.
+        """Return outgoing directions (P, 3) and their pdf (P,) for wi (P, 3) and variates u (P, 2) in [0, 1).
 
-        Arguments are wi (P, 3) and variates (P, 2) in [0, 1).
+        A pdf of 0 marks an invalid sample.
         """
         chosen, u = choose_lobe(self._shares, u)
         wo = cosine_hemisphere(u)
@@ -76,11 +76,11 @@ _SHOWN_PARTS = 3
 
 
 class PredictedBRDF(NotebookPicture):
-    """A weighted sum of measured BRDFs in a mapped domain, `T^-1(sum_i v_i T(f_i))`, evaluated only where asked.
+    """A weighted sum of measured BRDFs in a mapped domain, `T^-1(sum_i v_i T(f_i))`, evaluated on demand.
 
-    Weights are those of whole materials, alike in all bands, or of single bands of materials and of analytic lobes,
-    each predicted band with weights of its own (`Combination`). With a unit vector as weights of whole materials it
-    *is* the measured one, bit for bit, whatever the mapping.
+    The weights belong to whole materials and are the same in all bands, or they belong to single bands of materials
+    and to analytic lobes and differ between the predicted bands (`Combination`). If a single material has the weight
+    1, the prediction equals the measured BRDF bit for bit, for every mapping.
     Source: Hikichi & Iwasaki, eq. 13, written as weights of the measured materials; docs/explanation/gplvm.md.
     """
 
@@ -131,7 +131,7 @@ class PredictedBRDF(NotebookPicture):
 
     @property
     def parts(self) -> list[tuple[str, float]]:
-        """Return the combined materials and analytic lobes with shares of the sum of |weights|, largest first."""
+        """Return the combined materials and analytic lobes with their shares of the sum of |weights|, largest first."""
         order = np.argsort(-self._sampling_weights, kind="stable")
         return [
             (getattr(self._samplers[k], "name", "analytic lobes"), float(self._sampling_weights[k]))
@@ -157,7 +157,9 @@ class PredictedBRDF(NotebookPicture):
         return np.append(shares, of_lobes.sum()), [LobeSampling(dictionary.lobes, of_lobes)]
 
     def turned(self, angle_rad: float) -> PredictedBRDF:
-        """Return the sample turned by an azimuth: lobes are isotropic, measured materials share their tables.
+        """Return the BRDF turned about the normal by an azimuth in radians.
+
+        The tables of measured materials are shared.
 
         Raises:
             UsageError: the azimuth is not finite.
@@ -173,10 +175,10 @@ class PredictedBRDF(NotebookPicture):
         return turned
 
     def eval(self, wi: Array, wo: Array, out: Array | None = None) -> Array:
-        """Return f in 1/sr, shape (..., B), at unit vectors (..., 3) that broadcast.
+        """Return f in 1/sr, shape (..., B), at unit vectors (..., 3) that broadcast against each other.
 
-        Negative values occur if weights are negative, and at a material's own latent if its file has some. `out`,
-        precision and errors are as in `MeasuredBRDF.eval`.
+        Values can be negative if weights are negative, or if the measured file has negative values. `out`, precision
+        and errors are as in `MeasuredBRDF.eval`.
         """
         if self._measured is not None and out is None:
             return self._measured.eval(wi, wo)
@@ -206,14 +208,14 @@ class PredictedBRDF(NotebookPicture):
         return self.eval(wi, wo) * np.maximum(np.asarray(wo)[..., 2], 0.0)[..., None]
 
     def pdf(self, wi: Array, wo: Array) -> Array:
-        """Return the density of `sample` in 1/sr, shape (...): those of materials and lobes, mixed by |v_i|."""
+        """Return the density of `sample` in 1/sr, shape (...): densities of materials and lobes, weighted by |v_i|."""
         shares = zip(self._sampling_weights, self._samplers, strict=True)
         return np.sum([share * sampler.pdf(wi, wo) for share, sampler in shares if share > 0.0], axis=0)
 
     def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
-        """Return outgoing directions (..., 3) and their pdf (...) in 1/sr, 0 for invalid ones.
+        """Return outgoing directions (..., 3) and their pdf (...) in 1/sr, for wi (..., 3) and variates u (..., 2).
 
-        Arguments are wi (..., 3) and uniform variates (..., 2).
+        A pdf of 0 marks an invalid sample.
         """
         wi, u = require_directions(wi, "wi"), np.asarray(u, dtype=np.float64)
         if u.shape[-1:] != (2,):
@@ -236,13 +238,11 @@ class PredictedBRDF(NotebookPicture):
     def albedo(self, wi: Array, resolution: int = 48) -> Array:
         """Return the directional albedo (..., B) at unit vectors wi (..., 3), by quadrature over half vectors.
 
-        It is in double precision.
-
-        `resolution` is the number of nodes per axis, at least 4.
+        The result is in double precision. `resolution` is the number of nodes per axis.
 
         Raises:
             ShapeError: as in `eval`.
-            UsageError: the resolution is no integer of at least 4.
+            UsageError: the resolution is not an integer of at least 4.
         """
         require_resolution(resolution)
         return quadrature_albedo(self, wi, resolution)
@@ -300,7 +300,7 @@ class _MappedSum:
 
 
 class ClippedBRDF(WrappedBRDF):
-    """A BRDF with negative values cut to zero, as files must have them; it counts the cut values."""
+    """A BRDF whose negative values are set to zero, as files require; it counts these values."""
 
     def __init__(self, brdf: BRDF):
         """Wrap a BRDF."""
@@ -310,7 +310,7 @@ class ClippedBRDF(WrappedBRDF):
 
     @property
     def clipped_share(self) -> float:
-        """Share of the values evaluated so far that were negative."""
+        """Return the share of negative values among all values evaluated so far."""
         return self._cut / max(self._seen, 1)
 
     def eval(self, wi: Array, wo: Array) -> Array:
@@ -321,5 +321,5 @@ class ClippedBRDF(WrappedBRDF):
         return np.maximum(f, 0.0)
 
     def albedo(self, wi: Array) -> Array:
-        """Return the directional albedo (..., B) of the wrapped BRDF, negative values included, at wi (..., 3)."""
+        """Return the directional albedo (..., B) of the wrapped BRDF at wi (..., 3), including its negative values."""
         return self._brdf.albedo(wi)

@@ -1,4 +1,4 @@
-"""A material as a non-negative combination of samples and analytic lobes: of all, or of few."""
+"""Describes a material as a non-negative combination of samples and analytic lobes, of any or a limited number."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ from manifold.model.prediction import PredictedBRDF
 from manifold.model.settings import LEARNT_BANDS
 
 DICTIONARY = Dictionary((1.0, 2.0 / 3.0, 1.0 / 3.0), Lobes(soft_degree=4))
-"""Atoms of reconstructions: roots of samples have the broader lobes that sums of values lack."""
+"""Atoms of reconstructions; powers of samples add broader lobes than the samples have."""
 
 _SAMPLES_AT_ONCE = 300  # materials among which weights are found together
 _OF_VALUES = 0.25  # how much the squared error of values counts beside that of pixels
 
 
 class ComparedValues:
-    """The values that a reconstruction compares: at direction pairs, then at pixels of balls in the fitted lights.
+    """The values that a reconstruction compares: at direction pairs, then at K pixels of spheres in the lights of fits.
 
-    The K pixels are weighted, (K,), so that all lights count equally.
+    `pixel_weights` (K,) makes all lights count equally.
     """
 
     def __init__(self, pairs: Pairs) -> None:
@@ -50,16 +50,15 @@ class ComparedValues:
     @classmethod
     @cache
     def default(cls, is_isotropic: bool) -> ComparedValues:
-        """Return the values at the encoding pairs."""
+        """Return the compared values at the direction pairs of the encoding grid."""
         return cls(encoding_pairs(is_isotropic))
 
     def weights(self, atoms: Array, brdf: BRDF, numbers: int | None = None) -> Array:
-        """Return weights (B, n) of n atoms for a BRDF of B bands.
+        """Return weights (B, n) of n atoms that describe a BRDF of B bands.
 
-        Atoms are rows of `of_atoms`, the last of which are the lobes of `DICTIONARY`.
-
-        There are as many as it takes, or at most so many numbers, see `few_atoms`, of `LEARNT_BANDS` bands, between
-        which weights are linear.
+        `atoms` are the rows of `of_atoms`; the last ones are the lobes of `DICTIONARY`. If `numbers` is given, it
+        limits the number of parameters (see `few_atoms`); weights are then found in at most `LEARNT_BANDS` bands and
+        interpolated linearly.
         """
         material = self.of(brdf)
         if numbers is None:
@@ -80,10 +79,7 @@ class ComparedValues:
         )
 
     def of_atoms(self, materials: Sequence[BRDF]) -> Array:
-        """Return the compared values of the atoms of `DICTIONARY`, shape (n', R).
-
-        Samples are those of N materials in the sample bands (B_s,).
-        """
+        """Return the compared values of the atoms that `DICTIONARY` makes of materials, shape (n', R)."""
         samples = [np.maximum(values_at(brdf, self._pairs).T, 0.0) for brdf in materials]
         powers = [self._of_values(f**exponent) for exponent in DICTIONARY.exponents for f in samples]
         return np.vstack([*powers, self._lobes])
@@ -95,10 +91,10 @@ class ComparedValues:
 
 
 def observations(atoms: Array, material: Array, pixel_weights: Array) -> list[Observation]:
-    """Return observations of a material (B, R) for atoms (n, R); the last of R functionals are pixels.
+    """Return the observations of a material (B, R) in every band, for atoms (n, R).
 
-    Errors of cube roots are relative, over all bands, among values and among pixels of weights (K,). Pixels brighter
-    than display white do not count.
+    The last of the R values are pixels. Cube-root errors are relative to the norm over all bands, separately for the
+    values and for the pixels with weights (K,). Pixels brighter than display white are ignored.
     """
     material = np.maximum(material, 0.0)
     n_values = material.shape[1] - len(pixel_weights)
@@ -118,18 +114,19 @@ def reconstruct(
     brdf: BRDF,
     numbers: int | None = None,
 ) -> PredictedBRDF:
-    """Combine bands of materials, and lobes, with weights that may only add: see `estimator.explain`.
+    """Describe a material as a non-negative combination of bands of materials and analytic lobes.
 
-    Of more than 300 materials, weights are found among 300 after 300, each time beside those that had any before.
+    See `estimator.explain`. More than 300 materials are searched in groups of 300, together with the materials that
+    had weights in earlier groups.
 
     Args:
-        materials: of the library.
-        sample_bands: which of their bands are samples, increasing, shape (B_s,).
-        brdf: the material, in the bands of the library.
-        numbers: that may describe it, see `ComparedValues.weights`; by default as many as it takes.
+        materials: the materials of the library.
+        sample_bands: increasing indices of the bands that are samples, shape (B_s,).
+        brdf: the material to describe, in the bands of the library.
+        numbers: largest number of parameters, see `ComparedValues.weights`; None sets no limit.
     """
     if numbers is not None and numbers < 1:
-        raise UsageError(f"found {numbers} numbers to describe a material by, expected at least 1")
+        raise UsageError(f"found a limit of {numbers} parameters, expected at least 1")
     sampled, N = list[BRDF](), len(materials.names)
     for first in range(0, N, _SAMPLES_AT_ONCE):
         new = materials.names[first : first + _SAMPLES_AT_ONCE]
@@ -145,7 +142,7 @@ def reconstruct(
             sampled = [sampled[k] for k in np.flatnonzero(has_any)]
     if not np.any(weights):
         raise UsageError(
-            "the material to reconstruct is black: found no value above 0 at any direction pair, expected some light"
+            "the material to reconstruct is black: expected a value above 0 at some direction pair"
         )
     combination = Combination(Identity(), weights, sample_bands, dictionary=DICTIONARY)
     return PredictedBRDF(sampled, combination, brdf.bands)
@@ -157,12 +154,12 @@ _FEW = 6  # terms, of which pairs are exchanged, too
 
 
 def few_atoms(bands: Sequence[Observation], numbers: int, lambertian: int) -> Array:
-    """Return weights v >= 0 of few of n atoms that explain every band's observations by equal functionals, (B, n).
+    """Return weights v >= 0 of a few of n atoms that explain the observations in every band, shape (B, n).
 
-    Minimises what `estimator.explain` minimises without a prior. An atom takes a number that says which it is, and a
-    weight per band, or one weight that all bands share; a Lambertian is always meant, and takes its weights alone.
-    Atoms enter by the error that they save per number; then each is taken out in turn, and others take its place where
-    that is better.
+    It minimises the objective of `estimator.explain` without a prior, with at most `numbers` parameters. An atom
+    costs one parameter for its index, and one weight per band or one weight for all bands; the Lambertian needs no
+    index. Atoms are added in the order of the error that they save per parameter; then each is removed in turn and
+    replaced if another improves the fit.
     """
     atoms, seen = bands[0].atoms, np.array([band.seen for band in bands])
 

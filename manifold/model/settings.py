@@ -1,4 +1,4 @@
-"""The settings of a fit: one record per kind of manifold."""
+"""The settings of a fit, one class per kind of manifold."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ COMPARED_BANDS, LEARNT_BANDS = 12, 20
 
 @dataclass(frozen=True)
 class Settings(ABC):
-    """The settings with which a manifold was fitted; those of a kind are `BlendSettings` or `GplvmSettings`.
+    """The settings with which a manifold is fitted; the base class of `BlendSettings` and `GplvmSettings`.
 
     Attributes:
-        latent_dim: Q.
+        latent_dim: Q, the number of latent dimensions.
         length_scale: l, in units of the latents.
         kind: the kind of manifold.
     """
@@ -69,20 +69,18 @@ class Settings(ABC):
         return True
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values, as a model's file holds them."""
+        """Return the settings as plain values, as a model file holds them."""
         return {"kind": self.kind, "mapping": self.mapping, **vars(self)}
 
 
 @dataclass(frozen=True)
 class BlendSettings(Settings):
-    """The settings of a map of blends: every point is a non-negative combination of the cube roots of materials.
+    """The settings of a map of blends, where every point is a non-negative combination of the cube roots of materials.
 
-    Besides those of `Settings`:
-
-    Attributes:
+    Attributes: those of `Settings`, and
         sample_bands: largest number of bands per material from which colours are mixed.
-        landmarks: number of materials that are laid out, the others being located among them; if None, all materials
-            up to 300, otherwise 150.
+        landmarks: number of materials that are laid out together; the others are located among them. None lays out up
+            to 300 materials together, and uses 150 landmarks for more.
     """
 
     sample_bands: int = SAMPLE_BANDS
@@ -104,7 +102,7 @@ class BlendSettings(Settings):
         return "cube-root"
 
     def covariance(self) -> Kernel:
-        """Return the kernel that tells how far the data reach."""
+        """Return the kernel that determines how far from the materials predictions are supported."""
         return kernel_named("se", length_scale=self.length_scale)
 
     def landmarks_of(self, materials: int) -> int:
@@ -124,8 +122,8 @@ class GplvmSettings(Settings):
         mu: noise filter of the kernel.
         prior: weight of the Gaussian prior on the latents, per output.
         kernel: name of the kernel, see `kernel_named`.
-        grid: name of the grid of direction pairs behind the Gram matrix.
-        as_published: follow Hikichi & Iwasaki to the letter, see `published`.
+        grid: name of the grid of direction pairs for the Gram matrix.
+        as_published: use the method exactly as Hikichi & Iwasaki published it, see `published`.
     """
 
     mapping: str = DEFAULT_MAPPING
@@ -139,10 +137,11 @@ class GplvmSettings(Settings):
 
     @classmethod
     def published(cls) -> GplvmSettings:
-        """Return the settings of Hikichi & Iwasaki to the letter; docs/explanation/gplvm.md lists their effects.
+        """Return the settings of the method exactly as published; docs/explanation/gplvm.md lists their effects.
 
-        Raw values without weights, in all bands and at all 90 x 90 x 180 direction pairs; unmeasured cells are zeros;
-        s^2 = 1; direct local search from the principal components in the order of the materials; mu = 1e-4, l = 1.
+        The method uses raw values without weights, in all bands and at all 90 x 90 x 180 direction pairs, with zeros
+        in unmeasured cells; s^2 = 1, mu = 1e-4 and l = 1; and direct local search from the principal components, in
+        the order of the materials.
         """
         return cls(
             mapping="identity",
@@ -183,14 +182,14 @@ class GplvmSettings(Settings):
 
     @property
     def output_variance(self) -> float | None:
-        """The output variance s^2, in squared units of the outputs; None where it is fitted."""
+        """Return the output variance s^2, in squared units of the outputs; None if it is fitted."""
         return 1.0 if self.as_published else None
 
 
 KINDS: dict[str, type[BlendSettings] | type[GplvmSettings]] = {
     settings.kind: settings for settings in (BlendSettings, GplvmSettings)
 }
-"""The settings of each kind of manifold."""
+"""Classes of settings, by the name of the kind of manifold."""
 
 
 def _require_whole(name: str, value: object, least: int) -> None:

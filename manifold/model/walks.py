@@ -1,7 +1,7 @@
-"""Walks between two materials: both take on the roughness between theirs, and their values are averaged.
+"""Walks between two materials: both get an intermediate roughness, and their values are averaged.
 
-An average of two materials alone would fade the highlight of one into the other. Here the part of each material that
-a GGX lobe explains is given the roughness of the step, and the averages are taken at steps of equal visible size.
+Averaging alone would fade one highlight into the other. Therefore the part of each material that a GGX lobe explains
+is given the roughness of the step, and the steps are spaced so that they look equally large.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ _LEAST_VALUE = 0.02  # 1/sr: differences between values far below it do not coun
 
 @dataclass(frozen=True, eq=False)
 class Highlight:
-    """A GGX lobe with Schlick's Fresnel term, the one that explains most of a material.
+    """The GGX lobe with Schlick's Fresnel term that explains most of a material.
 
     Attributes:
-        position: of its roughness among `ROUGHNESSES`.
+        position: index of its roughness in `ROUGHNESSES`.
         normal, grazing: Fresnel reflectance at normal and grazing incidence, shape (B,).
-        base: of the material beside the lobe in 1/sr, shape (B,).
-        strength: mean of `normal` over the bands that chose the roughness.
-        gain: of the lobe where it stands for the measured values, shape (B,).
+        base: Lambertian value beside the lobe in 1/sr, shape (B,).
+        strength: mean of `normal` over the bands in which the roughness was fitted.
+        gain: factor on the lobe when it replaces measured values, shape (B,).
     """
 
     position: int
@@ -62,24 +62,27 @@ class Highlight:
         return self.normal + (self.grazing - self.normal) * schlick[:, None]
 
     def explained(self, f: Array, lobe: Array) -> Array:
-        """Return the part of values (P, B) that the highlight explains, by its lobe (P, B).
+        """Return the part of values f (P, B) that the highlight with this lobe (P, B) explains.
 
-        It includes the excess over the lobe, within bounds.
+        It includes values above the lobe, up to a limit.
         """
         return np.clip(f, 0.0, lobe) + np.clip(f - lobe - self.base, 0.0, _MOST_EXCESS * lobe)
 
     def shape_kept(self, position: float) -> float:
-        """Return the share of its measured shape that a highlight keeps at another position; the rest is the lobe's."""
+        """Return the share of the measured shape that a highlight keeps at another roughness.
+
+        The lobe gives the rest.
+        """
         return max(1.0 - abs(position - self.position) / _SHAPE_KEPT, 0.0)
 
 
 def roughness_at(position: float) -> float:
-    """Return alpha at a position between `ROUGHNESSES`, in equal ratios."""
+    """Return the roughness alpha at a fractional index into `ROUGHNESSES`, interpolated geometrically."""
     return float(ROUGHNESSES[0] * np.exp(_LOG_RATIO * position))
 
 
 def fit_highlight(brdf: BRDF) -> Highlight:
-    """Fit the lobe, over a Lambertian base, of least cube-root error at the pairs of grid and ball."""
+    """Fit a lobe over a Lambertian base with the lowest cube-root error at the direction pairs of grid and sphere."""
     pairs = appearance_pairs(brdf.is_isotropic)
     f = np.maximum(brdf.eval(pairs.wi, pairs.wo), 0.0)
     weight = np.cbrt(pairs.cosines)
@@ -118,11 +121,10 @@ def fit_highlight(brdf: BRDF) -> Highlight:
 
 
 def positions_between(start: Highlight, end: Highlight, share: Array) -> Array:
-    """Return positions at shares (n,) of the end.
+    """Return the roughness positions at shares (n,) of a walk, for which the peak F / alpha^2 changes evenly.
 
-    The average lobe's peak, F / alpha^2, changes in equal ratios.
-
-    A roughness in equal ratios would let the highlight between a strong, rough one and a weak, sharp one outshine both.
+    The peak is interpolated geometrically. If the roughness were interpolated, the highlight between a strong, rough
+    one and a weak, sharp one would be brighter than both.
     """
     mean = (1.0 - share) * start.strength + share * end.strength
     rise = np.log(mean) - (1.0 - share) * np.log(start.strength) - share * np.log(end.strength)
@@ -134,9 +136,10 @@ def positions_between(start: Highlight, end: Highlight, share: Array) -> Array:
 class RoughenedBRDF(WrappedBRDF):
     """A material whose highlight has another roughness; values that the lobe does not explain are kept.
 
-    `f - m + L' (k m / L + (1 - k) g F)`, L being the lobe, L' that of the other roughness, F its Fresnel term, m what
-    L F explains, g its gain, and k how much of the measured shape is kept: 1 at the own roughness, where
-    it is f itself. Never negative where f is not.
+    Its value is `f - m + L' (k m / L + (1 - k) g F)`, where L is the lobe of the material, L' the lobe of the other
+    roughness, F the Fresnel term, m the part of f that L F explains, g the gain, and k the share of the measured
+    shape that is kept. At the material's own roughness k is 1 and the value is f. It is never negative where f is
+    not.
     """
 
     def __init__(self, brdf: BRDF, highlight: Highlight, position: float) -> None:
@@ -159,7 +162,7 @@ class RoughenedBRDF(WrappedBRDF):
 
 
 def lobe_at(wi: Array, wo: Array, position: float) -> Array:
-    """Return the lobe of a perfect reflector in 1/sr, shape (P, 1), 0 below the horizon, elsewhere positive."""
+    """Return the GGX lobe of a perfect reflector in 1/sr, shape (P, 1); it is 0 below the horizon."""
     lobe = microfacet_lobe(wi, wo, roughness_at(position))
     is_above = (wi[:, 2] > 0.0) & (wo[:, 2] > 0.0)
     return np.where(is_above, lobe, np.finfo(float).tiny)[:, None]
@@ -167,14 +170,14 @@ def lobe_at(wi: Array, wo: Array, position: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Walked:
-    """A material as an end of walks, with its ball's pixels at every roughness in linear sRGB, (roughnesses, K, 3)."""
+    """A material as the end of a walk, with the pixels of its sphere at R roughnesses in linear sRGB, (R, K, 3)."""
 
     highlight: Highlight
     balls: Array
 
     @classmethod
     def of(cls, brdf: BRDF) -> Walked:
-        """Fit the highlight of a material, and light its ball."""
+        """Fit the highlight of a material, and render its sphere at every roughness."""
         highlight, lit = fit_highlight(brdf), ball()
         f, fresnel = brdf.eval(lit.wi, lit.wo), highlight.fresnel(lit.wi, lit.wo)
         own = lobe_at(lit.wi, lit.wo, highlight.position)
@@ -193,14 +196,14 @@ class Walked:
         return cls(highlight, np.stack(balls))
 
     def ball_at(self, positions: Array) -> Array:
-        """Return the linear sRGB of the ball at positions (n,) between `ROUGHNESSES`, shape (n, K, 3)."""
+        """Return the linear sRGB pixels (n, K, 3) of the sphere at fractional indices (n,) into `ROUGHNESSES`."""
         below = np.minimum(positions.astype(int), len(ROUGHNESSES) - 2)
         part = (positions - below)[:, None, None]
         return np.asarray((1.0 - part) * self.balls[below] + part * self.balls[below + 1])
 
 
 def walk_shares(start: Walked, end: Walked) -> Array:
-    """Return the share of the end at `WALK_NODES` even values of t, at which steps of the ball have equal CIEDE2000."""
+    """Return the share of the end material at `WALK_NODES` even values of t; steps have equal CIEDE2000."""
     u = np.linspace(0.0, 1.0, _STEPS)
     positions = positions_between(start.highlight, end.highlight, u)
     share = u[:, None, None]
@@ -212,7 +215,7 @@ def walk_shares(start: Walked, end: Walked) -> Array:
 
 
 def step_of(ends: Sequence[BRDF], walked: Sequence[Walked], share: float) -> PredictedBRDF:
-    """Return the material at a share of the second of two ends."""
+    """Return the material of a walk at which the second end has this share."""
     start, end = (w.highlight for w in walked)
     position = float(positions_between(start, end, np.array([share]))[0])
     parts = [RoughenedBRDF(brdf, w.highlight, position) for brdf, w in zip(ends, walked, strict=True)]
@@ -221,23 +224,23 @@ def step_of(ends: Sequence[BRDF], walked: Sequence[Walked], share: float) -> Pre
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """A walk between two materials of the same bands."""
+    """A walk between two materials with the same bands."""
 
     ends: tuple[BRDF, BRDF]
     walked: tuple[Walked, Walked]
 
     @classmethod
     def between(cls, start: BRDF, end: BRDF) -> Walk:
-        """Fit the highlights of two BRDFs."""
+        """Prepare the walk between two BRDFs by fitting their highlights."""
         return cls((start, end), (Walked.of(start), Walked.of(end)))
 
     @cached_property
     def shares(self) -> Array:
-        """Shares of the second at `WALK_NODES` even values of t."""
+        """Return the share of the second material at `WALK_NODES` even values of t."""
         return walk_shares(*self.walked)
 
     def at(self, t: float) -> PredictedBRDF:
-        """Return the step at t from 0 to 1; at both ends, the material itself."""
+        """Return the BRDF at t, from 0 to 1; at both ends it is the material itself."""
         if t in (0.0, 1.0):
             return PredictedBRDF([self.ends[int(t)]], Combination(Identity(), np.ones(1)))
         share = float(np.interp(t, np.linspace(0.0, 1.0, WALK_NODES), self.shares))

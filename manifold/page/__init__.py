@@ -1,4 +1,4 @@
-"""The interactive map: tables of a model, the page that predicts from them, and its server."""
+"""The interactive map: a web page with the tables from which it predicts, and its server."""
 
 import lazy_loader
 

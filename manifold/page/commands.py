@@ -1,6 +1,6 @@
-"""Commands that a served page may call, and the schema of each one's requests; others are refused.
+"""The commands that a served page may call, with a schema for the requests of each.
 
-Nothing of a request becomes a path but a plain name.
+All other requests are refused. A request can only give the plain name of a file, never a path.
 """
 
 from __future__ import annotations
@@ -53,12 +53,13 @@ class PageCommand:
     """A command that the page may call: a public function, and its arguments from a request.
 
     Attributes:
-        function: `module:name`, which the worker imports; what it returns has `to_json`.
-        arguments: of it, from a valid request, the context, the output, and the file that was sent.
-        schema: of a request, JSON.
-        ending: of the output's name, with `{bands}` and `{target}`; None of a command that writes nothing.
-        has_picture: whether there is a picture where the output is, or beside it.
-        takes_file: whether a file is sent, behind a request in a header.
+        function: import path `module:name` of the function, whose result has `to_json`.
+        arguments: function that returns its arguments, given a valid request, the context, the output, and the sent
+            file.
+        schema: JSON schema of a request.
+        ending: ending of the output's name, with `{bands}` and `{target}`; None for a command that writes nothing.
+        has_picture: whether the output is a picture, or has one beside it.
+        takes_file: whether a file is sent; the request is then in a header.
     """
 
     function: str
@@ -95,10 +96,10 @@ class Call:
     """A command with its arguments.
 
     Attributes:
-        subject: what it reads or writes, for people.
-        arguments: of its function; can be pickled.
-        picture: the picture among what it writes, if any.
-        inputs: temporary folder of what it reads, removed at its end.
+        subject: text that names what the command reads or writes.
+        arguments: arguments of its function, which can be pickled.
+        picture: path of the picture that it writes, if any.
+        inputs: temporary folder of the files that it reads, which is removed at the end.
     """
 
     command: str
@@ -112,12 +113,12 @@ class Call:
 def call_of(
     name: str, request: Request, context: Context, is_taken: Callable[[Path], bool], file: Path | None = None
 ) -> Call:
-    """Return the call that a request asks for; the file that was sent is alone in its folder.
+    """Return the call that a request describes; a sent file must be alone in its folder.
 
-    The request has the `name` of what is written, without an ending; `replace`, whether a file of that name may be
-    replaced; `latent`, which may be `FROM:TO:T` between two materials, and of colours at most one of `like`, `srgb` and
-    `spectrum`, rows of wavelength in nm and reflectance; others as the command line's. A path is taken if something is,
-    or will be, there.
+    The request holds `name`, the name of the output without ending; `replace`, whether an existing file may be
+    replaced; `latent`, which may be `FROM:TO:T`; at most one of the colours `like`, `srgb` and `spectrum` (rows of
+    wavelength in nm and reflectance); and further fields named like the options of the command line. `is_taken`
+    returns whether a path exists or will be written by a waiting job.
     """
     command = COMMANDS[name]
     command.check(request)
@@ -258,4 +259,4 @@ COMMANDS: Registry[PageCommand] = Registry("command of the page", {
         "_photo.png", has_picture=True, takes_file=True,
     ),
 }.items())  # fmt: skip
-"""By the names that the page calls them."""
+"""The commands of the page, by name."""

@@ -1,4 +1,4 @@
-"""The work behind `manifold explore`: the page as one file, or on the loopback interface."""
+"""Implements `manifold explore`: writes the page as one file, or serves it on the loopback interface."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ def write_page(
     library: Path | None = None,
     surfaces: Sequence[Path] = (),
 ) -> int:
-    """Write the page of a map of blends as one HTML file that asks for nothing; its size in bytes.
+    """Write the page of a map of blends as one HTML file that needs no network; return its size in bytes.
 
-    The library is where it is now, if not where the model has it; surfaces are folders that `manifold surface` wrote,
-    or their JSON.
+    `library` is the path of the model's library, if it was moved; `surfaces` are folders that `manifold surface`
+    wrote, or their JSON files.
     """
     disk.require_writable(output)
     page = make_page(_document(_load(model, library), surfaces))
@@ -47,9 +47,10 @@ def server(
     port: int = 0,
     surfaces: Sequence[Path] = (),
 ) -> ExplorerServer:
-    """Return a server of the page that listens on the loopback interface; `serve_until_interrupted` answers.
+    """Return a server of the page that listens on the loopback interface; `serve_until_interrupted` runs it.
 
-    The page's actions write into the folder; port 0 is any that is free; surfaces are as of `write_page`.
+    Commands of the page write into `folder`; port 0 selects a free port; `library` and `surfaces` are as in
+    `write_page`.
     """
     if not folder.is_dir():
         raise MissingFileError(f"{folder}: no such folder; make it, or name another")

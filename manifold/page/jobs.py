@@ -1,4 +1,4 @@
-"""Job queue of a served page: one command at a time, in a worker process, cancellable."""
+"""The job queue of a served page, which runs one command at a time in a worker process; jobs can be cancelled."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class Job:
 
     Attributes:
         state: `waiting`, `running`, `done`, `failed` or `cancelled`.
-        share: of the work that is done, where the command reports it.
-        started, ended: on the monotonic clock, in seconds.
+        share: share of the work that is done, if the command reports it.
+        started, ended: times on the monotonic clock, in seconds.
     """
 
     number: int
@@ -89,7 +89,7 @@ class Queue:
         return any(output in (j.call.output, j.call.picture) and j.ended is None for j in self.jobs)
 
     def cancel(self, number: int) -> bool:
-        """Stop a job, or take it from the queue; whether there was anything to stop."""
+        """Stop a job, or remove it from the queue; return whether it was running or waiting."""
         with self._lock:
             job = next((j for j in self.jobs if j.number == number and j.ended is None), None)
             if job is None:

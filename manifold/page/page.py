@@ -23,7 +23,7 @@ _EXPORT = re.compile(r"^export (?=(async )?(function|class|const|let) )", re.MUL
 def make_page(document: dict[str, Any]) -> str:
     """Return the page as HTML from the JSON of `page_data.to_document`.
 
-    `served` is set if a program answers its requests.
+    The document's `served` is set if a server answers the page's requests.
     """
     connect = "'self'" if document.get("served") else "'none'"
     return fill_page(_source("page.html"), page_script(), _source("style.css"), document, connect=connect)
@@ -32,7 +32,7 @@ def make_page(document: dict[str, Any]) -> str:
 def fill_page(
     template: str, script: str, style: str, document: dict[str, Any], *, connect: str = "'none'"
 ) -> str:
-    """Return a page of one file, which runs its own script and style only, and connects to nothing by default."""
+    """Return a page in one file, which may run only its own script and style, and by default connect to nothing."""
     policy = (
         f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(style)}; img-src data: blob:; "
         f"connect-src {connect}; base-uri 'none'; form-action 'none'"
@@ -47,7 +47,7 @@ def page_script() -> str:
 
 
 def widget_module() -> str:
-    """Return the page's script as an ES module for anywidget, which makes the page in an element of a notebook."""
+    """Return the page's script as an ES module with which anywidget shows the page in a notebook."""
     body = re.sub(r"<script.*?</script>", "", _body(), flags=re.DOTALL)
     constants = f"const STYLE = {json.dumps(_source('style.css'))}, BODY = {json.dumps(body)};\n"
     return constants + _joined("widget")
@@ -65,7 +65,7 @@ def _joined(last: str) -> str:
 
 
 def joined_modules(names: Iterable[str], last: str = "") -> str:
-    """Join modules of this folder, then a script, into one script; each has to follow those that it imports."""
+    """Join modules of this folder, then a script, into one script; each module must follow those that it imports."""
     texts = [*(_source(f"{name}.js") for name in names), last]
     return "\n".join(_EXPORT.sub("", _IMPORT.sub("", text)) for text in texts)
 

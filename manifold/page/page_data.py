@@ -1,4 +1,4 @@
-"""Data of the page: materials in cube roots, packed, and the colour paths.
+"""Prepares the data of the page: packed cube roots of the materials, and their colour paths.
 
 A prediction is `(sum_i v_i f_i^(1/3))^3` in every band. The cube roots of all materials are written in one spectral
 basis of a few components, so that a blend of components is the blend of every band.
@@ -49,10 +49,11 @@ _MOST_BALL = 15.0  # CIEDE2000 at which the ground of the map is darkest
 
 
 def error_field(model: Manifold) -> dict[str, Any] | None:
-    """Return values on a regular grid over the map, the last dimension fastest; None above three dimensions.
+    """Return errors on a regular grid over the map, with the last dimension fastest; None above three dimensions.
 
-    Expected errors of the ball in a given colour, and, of blends, in a `blended` one; or, of a model that is not
-    calibrated, the posterior over the prior standard deviation; and where the data do not support predictions.
+    They are the expected ball errors with a given colour and, for blends, with a blended colour. For a model that is
+    not calibrated, they are the posterior over the prior standard deviation. The result also marks where the data do
+    not support predictions.
     """
     X = model.X
     Q = X.shape[1]
@@ -93,16 +94,16 @@ _FILE_NODES_NM = tuple(
 
 @dataclass(frozen=True, eq=False)
 class PageTables:
-    """Materials on the pairs of a page.
+    """The materials at the direction pairs of a page.
 
     Attributes:
-        nodes: bands that colours and spectra are made of, indices, shape (J,).
-        basis: the spectral basis at the nodes, shape (J, R).
-        sample_basis: and at the bands that colour paths are made of, shape (B_s, R).
+        nodes: indices of the bands from which colours and spectra are computed, shape (J,).
+        basis: the spectral basis at these bands, shape (J, R).
+        sample_basis: the spectral basis at the sample bands of colour paths, shape (B_s, R).
         components: cube roots of f cos(theta_i) cos(theta_o) in the basis, float32, shape (N, R, P).
         walked: the materials as ends of walks.
-        at_nodes: which of their bands the nodes are, shape (J,).
-        thumbnails: balls of the materials in the studio, sRGB, in squares that their edges fill, (N, S, S, 3).
+        at_nodes: indices of the nodes among the bands of `walked`, shape (J,).
+        thumbnails: pictures of the materials' spheres in the studio, sRGB, extended to full squares, (N, S, S, 3).
     """
 
     pairs: TabulatedPairs
@@ -116,7 +117,7 @@ class PageTables:
 
 
 def tabulate(model: Manifold) -> PageTables:
-    """Evaluate the materials of a map of blends, or its landmarks, on the pairs of a page."""
+    """Evaluate the materials of a map of blends, or its landmarks, at the direction pairs of a page."""
     space = require_blends(model.space).of_landmarks
     pairs = tabulated_pairs()
     nodes = _node_bands(model.bands)
@@ -147,9 +148,9 @@ def _thumbnail(material: MeasuredBRDF, at_nodes: Indices) -> NDArray[np.uint8]:
 
 
 def packed(components: NDArray[np.float32]) -> dict[str, Any]:
-    """Return components (N, R, P) as text: the first as float16, the others as bytes, relative to the first.
+    """Return components (N, R, P) encoded as text: the first as float16, the others as bytes, relative to the first.
 
-    The first is positive, about the lightness; the others are about the chroma.
+    The first component is positive and approximates the lightness; the others approximate the chroma.
     """
     first = components[:, 0]  # [N, P]
     bright = first > _DARK * np.median(first, axis=1, keepdims=True)
@@ -166,7 +167,7 @@ def packed(components: NDArray[np.float32]) -> dict[str, Any]:
 def to_document(
     model: Manifold, tables: PageTables, surfaces: Sequence[WrittenSurface] = ()
 ) -> dict[str, Any]:
-    """Return everything that a page shows, as JSON; the means of surfaces are tabulated behind the materials."""
+    """Return everything that a page shows, as JSON; the mean BRDFs of surfaces follow the materials in the tables."""
     space, names = require_blends(model.space).of_landmarks, _landmark_names(model)
     bands, nodes = model.bands, tables.nodes
     node_bands = bands if bands.is_rgb else Bands(tuple(np.array(bands.wavelengths_nm)[nodes].tolist()))

@@ -1,4 +1,4 @@
-"""Surfaces of the page: the BRDF of the mean as one more material, and textures small enough for a page."""
+"""Adds surfaces to the page: the mean BRDF as a further material, and small textures."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from manifold.surface.tiling import Textures
 from manifold.surface.written import WrittenSurface
 
 SIZE = 512
-"""Most pixels of a side of the textures in a page: some 0.6 MB a surface."""
+"""Largest side of textures in a page, in pixels; a surface then takes about 0.6 MB."""
 
 _QUALITY = 95  # of WebP, which colours are written in: 2 in 255 off
 _SIDES = ([1.0, 1.0, 1.0], [1.0, -1.0, 1.0])  # of the plane of wi and the normal
@@ -55,9 +55,9 @@ class _InBands(WrappedBRDF):
 def components_of(
     surface: WrittenSurface, bands: Bands, pairs: TabulatedPairs, basis: Array
 ) -> NDArray[np.float32]:
-    """Return cube roots of the mean on the pairs of a page, in its spectral basis (J, R), shape (R, P).
+    """Return the cube roots (R, P) of a surface's mean BRDF at the pairs of a page, in its spectral basis (J, R).
 
-    The mean is converted to some bands.
+    The mean is converted to `bands`.
     """
     brdf = _InBands(surface.brdf, bands)
     roots = [np.cbrt(np.maximum(brdf.eval(pairs.wi * side, pairs.wo * side), 0.0)) for side in _SIDES]

@@ -1,7 +1,7 @@
 """The server of the page, on the loopback interface.
 
-Pages of other sites cannot send requests: these carry a token that only the address of the page holds, the Host header
-names the loopback interface, and the Origin header the page. Bodies are bounded.
+Pages of other sites cannot send requests: a request must carry a token that only the address of the page contains,
+its Host header must name the loopback interface, and its Origin header the page. The size of requests is limited.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ class ExplorerServer(ThreadingHTTPServer):
     """Serves one page on the loopback interface.
 
     Attributes:
-        token: what requests must carry.
-        naming: held from the choice of a free name until its job is queued.
+        token: token that requests must carry.
+        naming: lock that is held from the choice of a free name until its job is queued.
     """
 
     daemon_threads = True
@@ -63,9 +63,7 @@ class ExplorerServer(ThreadingHTTPServer):
         try:
             super().__init__((LOOPBACK, port), _Handler)
         except OSError as error:
-            raise UsageError(
-                f"port {port} cannot be listened on ({error.strerror}); choose another"
-            ) from None
+            raise UsageError(f"cannot listen on port {port} ({error.strerror}); choose another") from None
         self.page, self.context = page.encode(), context
         self.token = secrets.token_urlsafe(24)
         self.queue = Queue() if queue is None else queue
@@ -79,7 +77,7 @@ class ExplorerServer(ThreadingHTTPServer):
 
     @property
     def address(self) -> str:
-        """Return the address of the page, token included."""
+        """Return the address of the page, including the token."""
         return f"http://{LOOPBACK}:{self.server_port}/?token={self.token}"
 
     def handle_error(self, request: Any, client_address: Any) -> None:

@@ -1,4 +1,4 @@
-"""Direction pairs at which the page tabulates every material."""
+"""The direction pairs at which the page tabulates every material."""
 
 from __future__ import annotations
 
@@ -17,21 +17,24 @@ _SPHERE_NODES = 20  # nodes in elevation and in azimuth
 
 
 GRID_SHAPE = (45, 23, 12)
-"""Nodes over theta_h, theta_d and phi_d in [0, 180] degrees, both ends included; phi_d runs fastest."""
+"""Numbers of nodes over theta_h, theta_d and phi_d.
+
+Phi_d covers 0 to 180 degrees, including both ends, and runs fastest.
+"""
 
 THETA_H_MAX_RAD = float(np.deg2rad(89.0))
 THETA_H_POWER = 2.5
-"""The last theta_h, and the power of its index with which theta_h goes, dense around the mirror direction."""
+"""Largest theta_h, and the power of the node's index that spaces theta_h densely around the mirror direction."""
 
 THETA_D_SHARE = 0.995
-"""The last theta_d, as a share of the largest."""
+"""Largest tabulated theta_d, as a share of the largest possible one."""
 
 
 def grid_directions() -> tuple[Array, Array]:
     """Return wi and wo of all nodes of the grid, shape (P, 3) each.
 
-    theta_d is a share of the largest at which both directions are above the horizon, so that the whole grid can be
-    looked up: `tan(theta_d) = 1 / (tan(theta_h) |cos(phi_d)|)` there.
+    theta_d is a share of the largest value at which both directions are above the horizon,
+    `tan(theta_d) = 1 / (tan(theta_h) |cos(phi_d)|)`, so that every node is above the horizon.
     """
     h, d, p = (np.arange(n) / (n - 1) for n in GRID_SHAPE)
     angles = np.meshgrid(h**THETA_H_POWER * THETA_H_MAX_RAD, d * THETA_D_SHARE, p * np.pi, indexing="ij")
@@ -46,14 +49,14 @@ def largest_theta_d(theta_h: Array, phi_d: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class TabulatedPairs:
-    """All pairs of a page: of the grid, then of the slices, of meters, 45/0, and of the integrating sphere.
+    """All direction pairs of a page: first the grid, then slices, meters, 45/0, and the integrating sphere.
 
     Attributes:
         wi, wo: unit vectors, shape (P, 3).
-        slice_angles_deg: of wo from the normal, towards the mirror direction, per incidence.
-        meter_weights: units per 1/sr at the pairs of the meter of every slider.
-        sphere_measure: what makes a reflectance of values at the last pairs.
-        n_grid: pairs of the grid.
+        slice_angles_deg: angles of wo from the normal, towards the mirror direction, for each incidence.
+        meter_weights: for every slider, units per 1/sr at the pairs of its meter.
+        sphere_measure: weights that integrate values at the last pairs to a reflectance.
+        n_grid: number of pairs of the grid.
     """
 
     wi: Array
@@ -65,12 +68,12 @@ class TabulatedPairs:
 
     @property
     def amplitude(self) -> Array:
-        """Factor of tabulated values: cube root of cos(theta_i) cos(theta_o), shape (P,)."""
+        """Factor on tabulated cube roots: the cube root of cos(theta_i) cos(theta_o), shape (P,)."""
         return np.cbrt(self.wi[:, 2] * self.wo[:, 2])
 
 
 def tabulated_pairs() -> TabulatedPairs:
-    """Return the pairs of a page without mirror images: materials are tabulated as the mean of both sides."""
+    """Return the pairs of a page, on one side only; materials are tabulated as the mean of both sides."""
     wi, wo = [], []
     meters = [slider.meter() for slider in SLIDERS]
     spot = from_spherical(np.pi / 4, 0.0)[None], from_spherical(0.0, 0.0)[None]

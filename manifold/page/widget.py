@@ -24,13 +24,13 @@ traitlets: Any = require("traitlets")
 
 
 class MapWidget(AnyWidget):  # type: ignore[misc]
-    """A map of blends to drag a point on; Python knows where it is, and can move it.
+    """A notebook widget that shows a map of blends with a movable point.
 
     Attributes:
-        latent: where the point is, Q numbers; set it to move the point.
-        colour: chosen colour: empty, `like`, `srgb`, or `spectrum`, rows of nm and reflectance; on a path `between`,
+        latent: latent of the point, Q numbers; set it to move the point.
+        colour: given colour: empty, `like`, `srgb`, or `spectrum` (rows of nm and reflectance); for a walk `between`,
             two materials and t from 0 to 1.
-        link: all that is shown, as in a link of the page; set it to restore what was shown.
+        link: the whole state of the view, as in a link of the page; set it to restore a state.
     """
 
     _esm = widget_module()
@@ -52,14 +52,15 @@ class MapWidget(AnyWidget):  # type: ignore[misc]
         return latent
 
     def prediction(self) -> PredictedBRDF:
-        """Return the material at the point, in the chosen colour.
+        """Return the material at the point, in the given colour.
 
         Raises:
-            UsageError: what the other materials predict is shown, which the view alone computes.
+            UsageError: the view shows the prediction without a material, which only the view can compute.
         """
         if "without" in parse_qs(self.link):
             raise UsageError(
-                "the view shows what the others predict of a material; move the point to predict of all"
+                "the view shows the prediction of a material from the others; move the point to predict from all "
+                "materials"
             )
         x, colour = self.model.place(list(self.latent)).latent, dict(self.colour)
         path = colour.pop("between", None)

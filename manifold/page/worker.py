@@ -1,7 +1,7 @@
-"""The process in which the commands of a served page run, one after the other; its imports stay loaded.
+"""The process that runs the commands of a served page, one after the other; imported modules stay loaded.
 
-A call comes pickled on stdin, a command's name and arguments. Lines of JSON go out on stdout: `[done, total, what]` as
-it works, then `{"result": ...}` or `{"failure": ...}`.
+It reads pickled calls, a command's name and arguments, from stdin. It writes lines of JSON to stdout:
+`[done, total, what]` during the work, then `{"result": ...}` or `{"failure": ...}`.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from manifold.core.errors import in_words
 
 
 def serve(run: Callable[[str, dict[str, Any]], dict[str, Any]]) -> None:
-    """Answer calls until there are no more; without an answer where memory is short.
+    """Answer calls until there are no more; end without an answer if memory is exhausted.
 
-    `run` calls a command by its name with arguments; plain values.
+    `run` calls a command by its name with arguments, and returns plain values.
     """
     replies = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # libraries' output is no reply

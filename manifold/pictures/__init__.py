@@ -1,4 +1,4 @@
-"""Commands that write pictures: renders, maps, walks, slices and comparisons."""
+"""Writes pictures: renderings, maps, walks, slices and comparisons."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Figures of rendered balls: the latent map, and walks between two materials."""
+"""Draws figures of rendered spheres: the latent map, and walks between two materials."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def ball_map(
 ) -> Figure:
     """Draw the map with rendered balls of the materials `model.pictured`, over the expected error.
 
-    Balls are RGBA (H, W, 4), cropped to the ball. Overlapping balls are moved apart, with a line to their points.
-    Other materials are points in their colours. A latent (Q,), if given, is marked with the ball of its prediction.
-    Only the first two latent dimensions are drawn.
+    `images` are RGBA (H, W, 4), cropped to the ball. Overlapping balls are moved apart, with a line to their latents.
+    Other materials are drawn as points in their colours. The latent `marked` (Q,), if given, is shown with the ball
+    of its prediction. Only the first two latent dimensions are drawn.
     """
     figure = new_figure(12, 9)
     axes = figure.add_subplot()
@@ -98,7 +98,8 @@ def _draw_leader(axes: Axes, place: Array, true: Array, radius: float) -> None:
 def spread(points: Array, room: Array, frame: Array) -> Array:
     """Move points (N, 2) apart until boxes of size `room` (N, 2) around them hardly overlap.
 
-    Points stay near their places and half a box away from the edges of a frame (left, bottom, right, top).
+    Points stay near their positions, and at least half a box away from the edges of `frame` (left, bottom, right,
+    top).
     """
     rng = np.random.default_rng(0)
     room = np.broadcast_to(room, points.shape)
@@ -122,9 +123,9 @@ def walk_strip(
     rows: Sequence[tuple[str, Sequence[Array]]],
     doubtful: Sequence[bool] = (),
 ) -> Figure:
-    """Draw balls, RGBA (H, W, 4), side by side, a row per method, from one material (t = 0) to another (t = 1).
+    """Draw balls, RGBA (H, W, 4), from one material (t = 0) to another (t = 1), with one row per method.
 
-    Steps of the first row that the data do not support are marked, and explained below.
+    Steps of the first row marked in `doubtful` get a mark, which is explained below.
     """
     figure = new_figure(1.25 * len(steps) + 1.1, 1.35 * len(rows) + 0.9)
     figure.suptitle(title, fontsize=12)

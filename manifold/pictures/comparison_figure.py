@@ -1,4 +1,4 @@
-"""Two pictures side by side with maps of their difference."""
+"""Draws two pictures side by side with maps of their difference."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ def comparison(
     light: str,
     within: Mask | None = None,
 ) -> Figure:
-    """Draw two display pictures (H, W, 3) above their CIEDE2000 and FLIP maps (H, W), in a light by its name.
+    """Draw two display pictures (H, W, 3) above their CIEDE2000 and FLIP maps (H, W); `light` names the light.
 
-    Means are over the pixels of the mask `within`, those of the ball, so that they describe the materials only.
+    Means are taken over the pixels of the mask `within`, usually the ball, so that they describe only the materials.
     """
     height, width = delta_e.shape
     figure = new_figure(8.6, 0.6 + 8.0 * height / width)

@@ -1,4 +1,4 @@
-"""Balls of a material beside its exports, with their errors, by quadrature."""
+"""Draws spheres of a material beside its exports, with their errors, computed by quadrature."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _INCHES = 1.6  # a side of a ball
 
 
 class SheetColumn(NamedTuple):
-    """A material or one of its exports, and the text below its balls."""
+    """One column of the sheet: a material or one of its exports, and the text below its balls."""
 
     label: str
     brdf: EvaluableBRDF
@@ -30,7 +30,7 @@ class SheetColumn(NamedTuple):
 
 
 def studio_ball(brdf: EvaluableBRDF, size: int = _PIXELS) -> tuple[Array, Mask]:
-    """Return a ball in the studio as `ball_image` does, fine enough for matt materials."""
+    """Return a ball in the studio and its mask like `ball_image`, with a quadrature fit for matt materials."""
     return ball_image(brdf, size, _RINGS, _SPOKES)
 
 

@@ -21,7 +21,7 @@ from manifold.core.names import without_controls
 from manifold.core.records import Array
 
 LARGEST_DELTA_E = 10.0
-"""End of the colour scale of differences: far above what anybody takes for the same colour."""
+"""Upper end of the colour scale of CIEDE2000 maps."""
 
 _SUFFIXES = (".png", ".pdf", ".svg")
 # Installed ones draw the characters that the default font lacks.
@@ -41,7 +41,7 @@ _DPI = 110
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure of a size in inches, which opens no window."""
+    """Return an empty figure with a size in inches; it opens no window."""
     figure = Figure(figsize=(width, height), dpi=_DPI, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
@@ -58,8 +58,8 @@ def place_names(
 ) -> None:
     """Move names to positions near their points where they cover few other points (K, 2) and names.
 
-    Names are centred, with offsets in pixels, as all lengths are; a line leads to a point whose name is far.
-    Half of a point's width is `dot`.
+    Names are centred, with offsets in pixels; a line connects a distant name with its point. `dot` is half the width
+    of a point in pixels.
     """
     renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
     frame = axes.get_window_extent(renderer).padded(-0.5 * dot).extents
@@ -90,7 +90,7 @@ def place_names(
 
 
 def shortened(name: str, most: int = 40) -> str:
-    """Return a name as a label: cut if it is longer than `most`, and never read as a formula."""
+    """Return a name as a label, cut to `most` characters and protected from being read as a formula."""
     text = without_controls(name if len(name) <= most else name[: most - 1] + "…")
     return text.replace("$", r"\$")
 
@@ -99,7 +99,7 @@ _MOST_LINES = 3  # lines of a title
 
 
 def in_lines(name: str, width: int = 40) -> str:
-    """Break a name as a title after blanks, `_`, `-`, `/` or `.`, or anywhere, and cut it after three lines."""
+    """Return a name as a title, broken preferably after blanks, `_`, `-`, `/` or `.`, and cut after three lines."""
     lines = [""]
     for part in re.findall(r"[^\s_/.-]*[\s_/.-]*", name):
         while len(lines[-1]) + len(part.rstrip()) > width:
@@ -123,7 +123,7 @@ def require_writable(path: Path) -> None:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG (or the suffix's format), atomically; fonts in PDF are TrueType, as journals ask."""
+    """Write a figure as PNG or in the suffix's format, atomically; fonts in PDF are TrueType, as journals require."""
     require_writable(path)
     with disk.replacing(path) as partial, rc_context({"pdf.fonttype": 42}):
         figure.savefig(partial)
@@ -138,7 +138,7 @@ _LETTERS = 15  # letters in a line of a name
 def contact_sheet(cells: Sequence[tuple[str, str, Sequence[Path]]], under: str | None) -> Figure:
     """Draw pictures in rows, each with a name and a text below it, or a grey circle if there is none.
 
-    `under` describes that text. Few pictures have their own size.
+    `under` is the heading that explains this text. If there are few pictures, they keep their own size.
     """
     beside = max((len(pictures) for *_, pictures in cells), default=1)
     columns = min(int(np.ceil(np.sqrt(1.5 * len(cells) / beside))), _MOST_COLUMNS // beside)

@@ -1,4 +1,4 @@
-"""Comparison of a fit and its material in renders: balls, their differences, and slices of both."""
+"""Compares a fit and its material in renderings: balls, their differences, and slices of both."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def picture_of_fit(
 ) -> tuple[float, float]:
     """Render a file and the BSDF that was fitted to it, and draw both with their slices.
 
-    Return CIEDE2000 and FLIP, means over the ball. By default, renders have 256 x 256 pixels under D65, the
-    one light for materials without a spectrum.
+    Returns the means of CIEDE2000 and FLIP over the ball. By default, renderings have 256 x 256 pixels under D65, the
+    only light for materials without a spectrum.
     """
     figures.require_writable(output)
     settings = RenderSettings() if settings is None else settings
@@ -46,7 +46,10 @@ def picture_of_fit(
 
 
 def picture_of_brdfs(title: str, sources: Sequence[ShownBRDF], output: Path) -> tuple[float, float]:
-    """Draw a material and its substitute, balls by quadrature in the studio, and slices."""
+    """Draw a material and a substitute for it: balls in the studio, by quadrature, and slices.
+
+    Returns the means of CIEDE2000 and FLIP over the ball.
+    """
     balls = [framed(*studio_ball(source.brdf, _PIXELS)) for source in sources]
     return _draw(title, (balls[0][0], balls[1][0]), balls[0][1], sources, "studio", output)
 

@@ -1,4 +1,4 @@
-"""HTML pages in one file, with tables and embedded pictures, printable on A4."""
+"""Writes HTML pages in one file, with tables and embedded pictures, which can be printed on A4."""
 
 from __future__ import annotations
 
@@ -51,9 +51,9 @@ class Section:
     """A section of a page: labelled values, a table, pictures, and notes.
 
     Attributes:
-        rows: values by label; several in a list.
-        heads, table: of columns, and their cells.
-        pictures: caption and element, see `picture` and `drawing`.
+        rows: values by label; several values are a list.
+        heads, table: headings of the columns, and the rows of cells.
+        pictures: caption and HTML element of each picture, see `picture` and `drawing`.
         notes: sentences.
     """
 
@@ -93,14 +93,14 @@ class Section:
 
 
 def write(path: Path, title: str, intro: str, body: str | Sequence[Section]) -> None:
-    """Write a page of sections, or of HTML, below a title and a sentence, renamed into place."""
+    """Write a page with a title, a sentence, and sections or HTML, atomically."""
     inside = body if isinstance(body, str) else "".join(section.html() for section in body)
     made = f"{intro} Made by manifold {__version__}, {date.today().isoformat()}."
     disk.write_text(path, f"{_HEAD.format(title=_text(title))}<p>{_text(made)}</p>\n{inside}</body></html>\n")
 
 
 def card(picture: str, alt: str, link: str, name: str, text: str) -> str:
-    """Return a figure of an index: a picture of a file beside the page, a linked name, and a line."""
+    """Return the HTML of an index entry: a picture from a file beside the page, a linked name, and a line of text."""
     return (
         f'<figure><img src="{quote(picture)}" alt="{_text(alt)}" loading="lazy"><figcaption><b>'
         f'<a href="{quote(link)}">{_text(name)}</a></b><br>{_text(text)}</figcaption></figure>\n'
@@ -108,7 +108,7 @@ def card(picture: str, alt: str, link: str, name: str, text: str) -> str:
 
 
 def picture(display: Array, alt: str, width: int) -> str:
-    """Return an element of display values in [0, 1] (H, W, 3), so many pixels wide on the page."""
+    """Return the HTML element of a picture of display values in [0, 1] (H, W, 3), `width` pixels wide on the page."""
     from PIL import Image
 
     memory = io.BytesIO()
@@ -118,7 +118,7 @@ def picture(display: Array, alt: str, width: int) -> str:
 
 
 def drawing(figure: Figure) -> str:
-    """Return an element of a figure, as SVG."""
+    """Return the HTML element of a figure, as SVG."""
     memory = io.StringIO()
     figure.savefig(memory, format="svg")
     svg = memory.getvalue()

@@ -1,4 +1,4 @@
-"""The latent map: materials as dots in their colours, over the expected error of predictions."""
+"""Draws the latent map: materials as dots in their colours, over the expected error of predictions."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def latent_map(model: Manifold, marked: Array | None = None) -> Figure:
 
 
 def material_labels(model: Manifold) -> list[str]:
-    """Return the names of the pictured materials of a map, with the origin of those that were not measured."""
+    """Return the names of the pictured materials of a map, with the origin of materials that were not measured."""
     labels = []
     for name in (model.names[k] for k in model.pictured):
         origin = model.library.attributes(name).origin
@@ -64,7 +64,7 @@ def material_labels(model: Manifold) -> list[str]:
 
 
 def latent_axes(axes: Axes, model: Manifold) -> None:
-    """Set title and labels of a map of latents, with the number of dimensions that are not drawn."""
+    """Set the title and labels of a map of latents; they state the number of dimensions that are not drawn."""
     dims = model.settings.latent_dim
     materials = [model.library.attributes(name) for name in model.names]
     origins = {material.origin for material in materials}
@@ -87,8 +87,9 @@ def two_dimensions(X: Array) -> Array:
 def draw_expected_error(figure: Figure, axes: Axes, model: Manifold) -> None:
     """Draw the expected error as the background of a two-dimensional map, with its colour bar.
 
-    Without calibration it is the posterior standard deviation, over that of the prior for blends; hatched regions are
-    not supported by the data. Lines of a GPLVM that is calibrated are at equal posterior standard deviation.
+    For a model without calibration, it is the posterior standard deviation (for blends, relative to the prior).
+    Hatched regions are not supported by the data. For a calibrated GPLVM, contour lines show the posterior standard
+    deviation.
     """
     low, high = model.X.min(axis=0), model.X.max(axis=0)
     margin = _MARGIN * (high - low)
@@ -147,7 +148,7 @@ def draw_points(axes: Axes, model: Manifold) -> None:
 
 
 def material_colours(model: Manifold, materials: Indices) -> Array:
-    """Display colours of materials (n,): their reflectances under D65, or directional albedos at 30 degrees, (n, 3)."""
+    """Return the display colours (n, 3) of materials (n,), from reflectances under D65 or albedos at 30 degrees."""
     if model.space.takes_colours:
         reflectances = model.space.reflectances[materials]
     else:

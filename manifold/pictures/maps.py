@@ -1,4 +1,4 @@
-"""The figures of the commands `map`, `walk` and `slices`."""
+"""Makes the figures of the commands `map`, `walk` and `slices`."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ def latent_map(
     marked: PlaceLike | MaterialSource | None = None,
     colour: ColourChoice = NEAREST,
 ) -> tuple[DiagnosedPrediction | None, tuple[str, ...]]:
-    """Draw the map with a ball per material and the ball of a prediction; without Mitsuba, with points.
+    """Draw the map with a ball per material and the ball of a prediction, or with points if Mitsuba is missing.
 
-    Return the marked prediction, and notes on omitted balls.
+    Returns the marked prediction, and notes about omitted balls.
     """
     figures.require_writable(output)
     loaded = Manifold.load(model, library)
@@ -55,7 +55,7 @@ def latent_map(
     x = None if predicted is None else predicted.latent
     if not backend.is_available():
         figures.save(map_figure.latent_map(loaded, marked=x), output)
-        return predicted, ("rendered balls, since Mitsuba is missing",)
+        return predicted, ("rendered balls, because Mitsuba is missing",)
     ball = None if predicted is None else thumbnails.of_material(predicted.brdf)
     balls = thumbnails.of_materials(loaded)
     figures.save(ball_figures.ball_map(loaded, balls, x, ball), output)
@@ -72,9 +72,9 @@ def walk(
     steps: int = 7,
     library: Path | None = None,
 ) -> dict[float, DiagnosedPrediction]:
-    """Draw the walk between two materials, and below it the latents between them on the map.
+    """Draw the walk between two materials, and below it predictions from the latents between them on the map.
 
-    Return the steps of the walk by t, marked in the picture if they have diagnostics.
+    Returns the steps of the walk by t. Steps with diagnostics are marked in the picture.
     """
     figures.require_writable(output)
     backend.imported()
@@ -122,9 +122,10 @@ SliceKind = Literal["angles", "image", "spectra"]
 
 
 def sources(materials: Sequence[MaterialSource]) -> list[ShownBRDF]:
-    """Return the BRDFs that a user names, NaN in unmeasured cells of measured ones.
+    """Return the BRDFs that a user names; unmeasured cells of measured ones are NaN.
 
-    Materials of one label are labelled as they were given. Each model is opened once.
+    If several materials have the same label, they are labelled with the texts that the user gave. Each model is
+    opened once.
     """
     found: list[tuple[str, ShownBRDF]] = []
     models: dict[tuple[Path, Path | None], Manifold] = {}
@@ -161,7 +162,7 @@ def slices(
 ) -> dict[str, Any] | None:
     """Draw slices (`angles`), the Rusinkiewicz plane (`image`) or `spectra` of a few BRDFs.
 
-    Return the drawn values, see `slice_figures.curves`; None for images.
+    Returns the drawn values, see `slice_figures.curves`; None for images.
     """
     figures.require_writable(output)
     if kind == "angles":

@@ -1,4 +1,4 @@
-"""The pictures of `manifold render` and `manifold compare`."""
+"""Makes the pictures of `manifold render` and `manifold compare`."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Rendered(Result):
     """The result of `render`: the file and how it was rendered.
 
     Attributes:
-        route: how Mitsuba evaluates the material, in words.
+        route: text that says how Mitsuba evaluates the material.
         seconds: time of rendering, without reading.
         prediction: the rendered prediction; None for measured and fitted materials.
     """
@@ -103,7 +103,7 @@ def render(
 
     Raises:
         UsageError: the picture cannot be written, an RGB material is rendered under a light other than D65, or
-            `direct` is set for a material that is no place.
+            `direct` is set for a material that is not a place on a map.
         FileFormatError: the file is neither an RGL file nor a fit.
     """
     images.require_image_path(output)
@@ -148,7 +148,7 @@ def ball_material(
 def latent_material(
     model: Path, latent: PlaceLike, *, library: Path | None, colour: ColourChoice, direct: bool
 ) -> Iterator[tuple[BallMaterial, DiagnosedPrediction]]:
-    """Yield the prediction at a latent, as a `.bsdf` file during the block, or for `direct` evaluation."""
+    """Yield the prediction at a latent for rendering: as a temporary `.bsdf` file, or with `direct` as a plugin."""
     from manifold.estimate import predictions
     from manifold.model import diagnostics
     from manifold.model.manifold import load_model
@@ -171,7 +171,7 @@ def latent_material(
     warn_if_invisible(loaded.bands)
     predicted = diagnostics.predict_and_diagnose(loaded, latent, colour)
     if predicted.latent is None:
-        raise UsageError(f"{at}: --direct evaluates latents, but no steps of walks; leave it out")
+        raise UsageError(f"{at}: --direct cannot evaluate a step of a walk; leave it out")
     coordinates = ",".join(repr(float(v)) for v in predicted.latent)
     bsdf = {"type": "manifold", "model": shipped.named(model), "latent": coordinates}
     bsdf |= {key: str(value) for key, value in vars(colour).items() if value is not None}
@@ -185,12 +185,12 @@ class Comparison(Result):
     """The differences of two pictures, or of two materials.
 
     Attributes:
-        path: of the figure.
-        a, b: what was compared.
-        light: the light of the renders.
+        path: path of the figure.
+        a, b: names of the compared pictures or materials.
+        light: name of the light of the renderings.
         ciede2000_ball, itp_ball, flip_ball: means over the pixels of the ball; None if pictures were compared.
         ciede2000, itp, flip: means over all pixels; `itp` is Delta E_ITP of ITU-R BT.2124.
-        diagnostics: of the predictions among them.
+        diagnostics: diagnostics of compared predictions.
     """
 
     path: Path = field(metadata=entry())

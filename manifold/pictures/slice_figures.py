@@ -1,4 +1,4 @@
-"""Figures of BRDF values: slices in the plane of incidence, the Rusinkiewicz plane, spectra at fixed geometries."""
+"""Draws BRDF values: slices in the plane of incidence, the Rusinkiewicz plane, or spectra at fixed geometries."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ class ShownBRDF:
 def angle_slices(sources: Sequence[ShownBRDF], wavelengths_nm: Sequence[float] = ()) -> Figure:
     """Draw f over the outgoing angle in the plane of incidence, to 85 degrees, at incidences of 20, 40 and 60 degrees.
 
-    Angles are positive on the mirror side of the normal. A row per channel of linear sRGB under D65, or per wavelength
-    where some are given.
+    Angles are positive on the mirror side of the normal. There is one row per channel of linear sRGB under D65, or
+    one per wavelength if wavelengths are given.
     """
     _require_sources(sources)
     rows = _channel_names(wavelengths_nm)
@@ -159,8 +159,9 @@ def curves(
 ) -> dict[str, Any] | None:
     """Return the values that `angle_slices` (kind `angles`) or `spectra_at` (`spectra`) draw; None for images.
 
-    `f` in 1/sr is by label: of angles in the order incidence, outgoing angle, channel; of spectra in the order
-    geometry, channel or wavelength, with the wavelengths by label, None for linear sRGB. Unmeasured values are NaN.
+    `f` holds values in 1/sr by label. For angles its axes are incidence, outgoing angle and channel; for spectra they
+    are geometry and wavelength (or channel), with the wavelengths by label (None for linear sRGB). Unmeasured values
+    are NaN.
     """
     if kind == "image":
         return None

@@ -1,4 +1,4 @@
-"""Rendering by Mitsuba: backend, scenes, renders, images and their differences.
+"""Rendering with Mitsuba: backend, scenes, renderings, images and their differences.
 
 Only `backend` imports mitsuba and drjit.
 """

@@ -1,9 +1,8 @@
-"""Choice of the Mitsuba backend: the newest libLLVM, or the scalar variants.
+"""Chooses the Mitsuba backend: the newest libLLVM, or the scalar variants.
 
-Mitsuba's fast variants compile with a libLLVM, which Dr.Jit loads. Versions 15 and 16 end the process on some
-processors, so the newest of version 17 or later is taken.
-This module (and nothing else) imports Mitsuba and Dr.Jit; others ask `mitsuba()` and `drjit()` for them, and get a
-`RendererError` where Mitsuba is missing.
+Mitsuba's fast variants compile with a libLLVM, which Dr.Jit loads. Versions 15 and 16 crash on some processors, so
+the newest version from 17 on is used. Only this module imports Mitsuba and Dr.Jit; other modules call `mitsuba()` and
+`drjit()`, which raise `RendererError` if Mitsuba is missing.
 
 Caveats: Dr.Jit loads its libLLVM when it is imported, and cannot change it in the same process. The variant is a
 setting of the whole process, so threads must not render in different variants at the same time, and objects of one
@@ -30,7 +29,7 @@ RENDERER_VARIABLE = "MANIFOLD_RENDERER"
 """Environment variable that forces a backend: `llvm`, `scalar`, or `auto` (as if it were not set)."""
 
 LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
-"""Dr.Jit's environment variable for the libLLVM to use; where it is set, that one is taken."""
+"""Dr.Jit's environment variable for the libLLVM to use; if it is set, this library is used."""
 
 _LEAST_VERSION = 17
 INSTALL = f"install libLLVM {_LEAST_VERSION} or newer (Debian: apt install libllvm19)"
@@ -42,7 +41,7 @@ _COLOURS = ("spectral", "rgb", "mono")
 
 
 class RendererWarning(UserWarning):
-    """Mitsuba runs its slow scalar variants, because no suitable libLLVM was found."""
+    """Warns that Mitsuba runs its slow scalar variants, because no suitable libLLVM was found."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +79,7 @@ def mitsuba_version() -> str:
 
 
 def find_library() -> Path | None:
-    """Return the newest libLLVM of version 17 or later, by file names, or the one that `DRJIT_LIBLLVM_PATH` names."""
+    """Return the newest libLLVM of version 17 or later, judged by file names, or the one in `DRJIT_LIBLLVM_PATH`."""
     if named := os.environ.get(LIBRARY_VARIABLE):
         return Path(named)
     found = {path: _version(path) for folder in _FOLDERS for path in Path("/").glob(f"{folder[1:]}/libLLVM*")}
@@ -198,7 +197,7 @@ def mitsuba(colour: str = "spectral", backend: Backend | None = None) -> Any:
             if not backend.is_llvm:
                 raise
             raise RendererError(
-                f"Dr.Jit cannot use {backend.library} ({str(error).strip().splitlines()[-1]}); name another libLLVM by "
+                f"Dr.Jit cannot use {backend.library} ({str(error).strip().splitlines()[-1]}); name another libLLVM in "
                 f"{LIBRARY_VARIABLE}, or set {RENDERER_VARIABLE}=scalar"
             ) from error
     return mi
@@ -246,7 +245,7 @@ def mitsuba_of_any_variant() -> Any:
 
 @contextmanager
 def only_errors() -> Iterator[None]:
-    """Silence Mitsuba's warnings, such as that of a rounded number of samples, which it prints on stdout."""
+    """Silence Mitsuba's warnings, which it prints on stdout, for example about a rounded number of samples."""
     mi = mitsuba_of_any_variant()
     before = mi.log_level()
     mi.set_log_level(mi.LogLevel.Error)
@@ -268,7 +267,7 @@ def on_variant(callback: Callable[[str], None]) -> None:
 
 
 def drjit() -> Any:
-    """Return Dr.Jit, for arrays of the variant that `mitsuba` has set."""
+    """Return the module Dr.Jit, for arrays of the variant that `mitsuba` has set."""
     imported()
     import drjit as dr
 

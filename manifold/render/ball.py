@@ -1,4 +1,4 @@
-"""Renders of the material ball of a file, a fit, or any BRDF."""
+"""Renders the material ball of a file, a fit, or any BRDF."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from manifold.render.render import RenderSettings, render_bsdf
 
 @dataclass(frozen=True, eq=False)
 class BallMaterial:
-    """A material as Mitsuba renders it.
+    """A material in the form in which Mitsuba renders it.
 
     Attributes:
         name: name for titles.
         bsdf: the BSDF as a dictionary of Mitsuba.
         is_rgb: whether the material is linear sRGB, without a spectrum.
-        route: how the renderer evaluates it, in words.
+        route: text that says how the renderer evaluates the material.
     """
 
     name: str
@@ -58,7 +58,7 @@ def read_material(path: Path) -> BallMaterial:
     rows, columns = file.spectra.shape[3:]
     if rows != columns:
         raise UsageError(
-            f"{path}: outgoing grid of {rows} x {columns}, expected a square one; Mitsuba reads no other"
+            f"{path}: outgoing grid of {rows} x {columns}, expected a square grid, which Mitsuba requires"
         )
     warn_if_invisible(file.bands)
     bsdf = {"type": "measured", "filename": str(path)}
@@ -68,7 +68,7 @@ def read_material(path: Path) -> BallMaterial:
 def make_settings(
     *, size: int, samples: int, seed: int, illuminant: str, environment: Path | None
 ) -> RenderSettings:
-    """Return settings with the illuminant of a name or file, and the environment of a file."""
+    """Return render settings, given the name or file of an illuminant, and the file of an environment."""
     image = None
     if environment is not None:
         radiance = images.read_image(environment)
@@ -80,7 +80,7 @@ def make_settings(
 
 
 def parse_illuminant(text: str) -> Illuminant:
-    """Return the CIE illuminant of a name, or the light of a file of wavelengths and powers."""
+    """Return the CIE illuminant with a name, or the light in a file of wavelengths and powers."""
     path = Path(text)
     if path.suffix and path.is_file():
         return Illuminant.read(path)
@@ -113,7 +113,7 @@ def render_ball(
 
     Raises:
         UsageError: the material has no spectrum and the light is not D65, or an argument is out of range.
-        FileFormatError: a file is not what it should be.
+        FileFormatError: a file has the wrong format, or is damaged.
         RendererError: Mitsuba is missing.
     """
     settings = make_settings(

@@ -1,9 +1,9 @@
-"""BSDFs evaluated for many parameter vectors at many direction pairs, with derivatives.
+"""Evaluates BSDFs for many parameter vectors at many direction pairs, with derivatives.
 
 BSDFs of `manifold.analytic.principled.MODELS` are evaluated in NumPy, all others by Mitsuba itself, on its
-LLVM backend: every texture slot of a plugin holds a *lane texture*, whose value is an array with one entry per lane of
-the wavefront. One kernel then evaluates any number of parameter vectors at all direction pairs, and a second one, with
-a different tangent per lane, all columns of a Jacobian.
+LLVM backend: every texture slot of a plugin holds a *lane texture*, whose value is an array with one entry per lane
+of the wavefront. One kernel then evaluates any number of parameter vectors at all direction pairs, and a second one,
+with a different tangent per lane, all columns of a Jacobian.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def evaluator(family: BsdfFamily, wi: Array, wo: Array, n_bands: int) -> Evaluat
     """Return the evaluator at unit vectors (M, 3).
 
     Raises:
-        UsageError: a tint is asked for in other than three bands, or Mitsuba refuses the BSDF.
+        UsageError: a tint is used with a number of bands other than three, or Mitsuba refuses the BSDF.
         RendererError: the BSDF needs Mitsuba's LLVM backend, which is missing.
     """
     if is_analytic(family):
@@ -69,7 +69,7 @@ def variant(family: BsdfFamily) -> str:
 def is_analytic(family: BsdfFamily) -> bool:
     """Return whether NumPy evaluates a family.
 
-    It is one of `principled.MODELS`, with a colour per band and numbers from 0 to 1 for everything else.
+    That is so for `principled.MODELS` with a colour per band and all other parameters numbers from 0 to 1.
     """
     model = principled.MODELS.get(family.type)
     if model is None:
@@ -251,7 +251,7 @@ def bsdf_keys(mi: Any, family: BsdfFamily) -> dict[str, str]:
 
 
 class LaneEvaluator:
-    """The evaluator of the LLVM backend; single precision."""
+    """The evaluator that uses Mitsuba's LLVM backend, in single precision."""
 
     def __init__(self, mi: Any, family: BsdfFamily, wi: Array, wo: Array, n_bands: int) -> None:
         self.layout = ParameterLayout(family, n_bands)

@@ -1,4 +1,4 @@
-"""Free parameters of a BSDF and their ranges, as data."""
+"""Describes the free parameters of a BSDF and their ranges."""
 
 from __future__ import annotations
 
@@ -12,8 +12,11 @@ from manifold.core.errors import UsageError
 from manifold.core.records import Array, plain
 
 Transform = Literal["identity", "log", "square", "gloss"]
-"""The optimiser's coordinate of a parameter p: p, log p, the square root of its distance from the minimum, or minus the
-logarithm of its distance from the maximum (plus a hundredth of the range), as a gloss sets the width of a lobe."""
+"""Name of the optimiser's coordinate of a parameter p.
+
+`identity` is p, `log` is log p, `square` is the square root of the distance from the minimum, and `gloss` is minus
+the logarithm of the distance from the maximum plus a hundredth of the range, for parameters that set the width of a
+lobe."""
 
 _LOG_FLOOR = 1e-6  # least value whose logarithm is taken
 _GLOSS_FLOOR = 0.0101  # Mitsuba's clear coat: alpha 0.1 at gloss 0, 0.001 at gloss 1
@@ -124,10 +127,10 @@ class BsdfFamily:
             )
 
     def named(self, name: str) -> FreeParameter:
-        """Return the free parameter of that name.
+        """Return the free parameter with a name.
 
         Raises:
-            UsageError: there is none.
+            UsageError: there is no such parameter.
         """
         for parameter in self.parameters:
             if parameter.name == name:
@@ -155,7 +158,7 @@ class ParameterLayout:
         slices: slice of each parameter by name.
         owner: index of the parameter of each place.
         size: K.
-        minimum, maximum, default, tolerance: of each place, shape (K,).
+        minimum, maximum, default, tolerance: these properties of the parameter at each place, shape (K,).
         is_per_band: whether the parameter of a place is per band, bool (K,).
         labels: name of each place, with the index of the band if the parameter is per band.
     """
@@ -196,7 +199,7 @@ class ParameterLayout:
         return out
 
     def split(self, p: Array) -> dict[str, float | list[float]]:
-        """Return values by name: a number, or B of them."""
+        """Return the values by name, each a number or a list of B numbers."""
         return {
             name: [float(v) for v in p[place]] if self.family.named(name).per_band else float(p[place.start])
             for name, place in self.slices.items()
@@ -231,7 +234,7 @@ PRINCIPLED_DEFAULT = (
 def principled(names: Iterable[str] = PRINCIPLED_DEFAULT, *, wide_colours: bool = False) -> BsdfFamily:
     """Return Mitsuba's `principled` with the named parameters free and the others at Mitsuba's defaults.
 
-    Wide base colours range from -0.25 to 1.25, not from 0 to 1.
+    With `wide_colours`, base colours range from -0.25 to 1.25 instead of 0 to 1.
 
     `roughness` is the artist's parameter: Mitsuba squares it to get the GGX alpha.
     """
@@ -241,7 +244,7 @@ def principled(names: Iterable[str] = PRINCIPLED_DEFAULT, *, wide_colours: bool 
 
 
 def default_principled(is_isotropic: bool, *, wide_colours: bool) -> BsdfFamily:
-    """Return `principled` as it is fitted by default: with `anisotropic` free for anisotropic materials."""
+    """Return `principled` with its default free parameters, which include `anisotropic` for anisotropic materials."""
     names = PRINCIPLED_DEFAULT if is_isotropic else (*PRINCIPLED_DEFAULT, "anisotropic")
     return principled(names, wide_colours=wide_colours)
 

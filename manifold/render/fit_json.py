@@ -1,4 +1,4 @@
-"""Fits as JSON, with their inputs and settings; they are read back as BSDFs. Schema: `fit.schema.json`."""
+"""Reads and writes fits as JSON, with their inputs and settings. The schema is `fit.schema.json`."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def is_number(value: Any) -> bool:
 
 
 def family_of(content: Any, file: str) -> BsdfFamily:
-    """Return the family of a JSON description of a BSDF, in a file of this name; see `BsdfFamily.to_json`."""
+    """Return the family of a JSON description of a BSDF, see `BsdfFamily.to_json`; errors name the file."""
     _require_schema(content, file, "bsdf")
     if holds_none(content.get("fixed", {})):  # null ends Mitsuba's process
         raise FileFormatError(f"{file}: fixed contains null, expected a value; remove that entry")
@@ -69,11 +69,11 @@ def family_of(content: Any, file: str) -> BsdfFamily:
 
 
 def require_fit(content: Any, file: str) -> None:
-    """Check that plain values are a usable fit.
+    """Raise FileFormatError unless the content of a file is a valid fit.
 
-    FileFormatError names the file and the first entry that is not valid.
+    The message names the file and the first invalid entry.
 
-    Values must lie in the ranges of their parameters, and the entries that Mitsuba loads must say the same as they.
+    Values must lie in the ranges of their parameters, and the entries that Mitsuba loads must agree with them.
     """
     _require_schema(content, file)
     family = family_of(content["bsdf"], file)
@@ -140,7 +140,7 @@ def _require_same(found: Any, expected: dict[str, Any] | None, where: str) -> No
         both = found or {}, expected or {}
         differing = sorted(key for key in {*both[0], *both[1]} if both[0].get(key) != both[1].get(key))
         raise FileFormatError(
-            f"{where} and the values differ in {', '.join(differing)}; change both alike, or fit again"
+            f"{where} and the values differ in {', '.join(differing)}; make them equal, or fit again"
         )
 
 
@@ -160,8 +160,8 @@ class FitSource:
     Attributes:
         file, sha256: name and hash of the measured file; None for a prediction.
         latent, model, model_sha256: latent, model file and its hash for a prediction; None for a file.
-        walk: the step of a walk in words, because it has no latent; else None.
-        colour: colour of a prediction in words; None for a file, and if latents fix the colours.
+        walk: text that names a step of a walk, which has no latent; otherwise None.
+        colour: text that names the colour of a prediction; None for a file, and if latents determine the colours.
     """
 
     name: str
@@ -175,12 +175,12 @@ class FitSource:
 
 
 def signed(content: dict[str, Any]) -> dict[str, Any]:
-    """Return plain values with a hash that reveals later changes."""
+    """Return the content of a fit with a hash added, which reveals later changes."""
     return content | {"sha256": _digest(content)}
 
 
 def is_untouched(content: dict[str, Any]) -> bool:
-    """Return whether plain values are unchanged since `document` made them."""
+    """Return whether the content of a fit is unchanged since it was written, according to its hash."""
     return content.get("sha256") == _digest(content)
 
 
@@ -190,12 +190,12 @@ def _digest(content: dict[str, Any]) -> str:
 
 
 def write_document(path: Path, content: dict[str, Any]) -> None:
-    """Write the plain values of `document` to a file."""
+    """Write the content of a fit to a JSON file."""
     disk.write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 
 def read(path: Path) -> dict[str, Any]:
-    """Read and validate the plain values of a written fit."""
+    """Read and validate the content of a written fit."""
     content: dict[str, Any] = disk.read_json(path, "a .bsdf file or the JSON of a fit")
     require_fit(content, path.name)
     return content

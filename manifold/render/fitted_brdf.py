@@ -1,4 +1,4 @@
-"""The fitted BSDF of a JSON file as a BRDF that can be evaluated, for slices, comparisons and tests."""
+"""Evaluates the fitted BSDF of a JSON file as a BRDF, for slices, comparisons and tests."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class FittedBRDF:
     ) -> FittedBRDF:  # fmt: skip
         """Return the BRDF of fitted values, turned by an azimuth.
 
-        Values per band are in `spectra` unless it is empty.
+        `spectra` holds values per band; if it is empty, the BRDF is in linear sRGB.
         """
         known = {"wavelengths_nm": bands.wavelengths_nm, "values": spectra} if spectra else None
         return cls(

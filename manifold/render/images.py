@@ -1,4 +1,4 @@
-"""Reading and writing of pictures (EXR linear, PNG tone-mapped) in sRGB primaries, and their differences."""
+"""Reads and writes pictures (EXR linear, PNG tone-mapped) in sRGB primaries, and computes their differences."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def read_display(path: Path) -> Array:
 
 def _finite(picture: Image) -> Array:
     if not np.isfinite(picture.values).all():
-        raise FileFormatError(f"{picture.path}: pixels that are not finite; render it again")
+        raise FileFormatError(f"{picture.path}: has pixels that are not finite; render it again")
     return picture.values
 
 
@@ -138,9 +138,9 @@ def _xyz(display: Array, other: Array) -> tuple[Array, Array]:
 
 
 def flip_map(reference: Array, test: Array, pixels_per_degree: float = PIXELS_PER_DEGREE) -> Array:
-    """Return FLIP between display values in [0, 1], from 0 (alike) to 1 (as different as possible), shape (H, W).
+    """Return FLIP between display values in [0, 1], from 0 (equal) to 1 (most different), shape (H, W).
 
-    Source: Andersson et al. 2020, DOI 10.1145/3406183; its authors' program, for a low dynamic range.
+    Source: Andersson et al. 2020, DOI 10.1145/3406183, in the authors' implementation for low dynamic range.
     """
     evaluate = require("flip_evaluator").evaluate  # only comparisons need it
 
@@ -154,5 +154,6 @@ def require_pictures(a: Array, b: Array) -> None:
     """Raise ShapeError unless two pictures have the same size and three channels."""
     if a.shape != b.shape or a.ndim != 3 or a.shape[2] != 3:
         raise ShapeError(
-            f"pictures have shapes {a.shape} and {b.shape}, expected the same (height, width, 3); render both alike"
+            f"pictures have shapes {a.shape} and {b.shape}, expected the same (height, width, 3); render both with "
+            "the same size"
         )

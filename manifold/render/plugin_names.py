@@ -1,7 +1,7 @@
-"""Plugin names allowed in documents of other origin.
+"""Checks the names of plugins in documents from elsewhere.
 
-Mitsuba makes `plugins/TYPE.so` of a type and loads that library from wherever its file resolver finds it, the current
-folder included. So types must be plain words that name Mitsuba's own plugins, which are found first
+For a type, Mitsuba loads the library `plugins/TYPE.so` from any folder of its file resolver, including the current
+folder. Therefore types must be plain words that name Mitsuba's own plugins, which are found first
 (`manifold.render.backend`), or plugins that this process has registered from Python.
 """
 
@@ -19,10 +19,7 @@ _KEYWORDS = frozenset({"scene", "rgb", "spectrum", "ref", "manifold"})
 
 
 def require_plugins(types: Iterable[object], origin: str) -> None:
-    """Check that every type is that of a plugin which may be loaded.
-
-    FileFormatError names the document.
-    """
+    """Raise FileFormatError, which names the document, unless every type names a plugin that may be loaded."""
     for name in types:
         if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
             raise FileFormatError(
@@ -36,17 +33,17 @@ def require_plugins(types: Iterable[object], origin: str) -> None:
 
 
 def types_of(content: Any) -> Iterator[object]:
-    """Yield the types in a dictionary of Mitsuba, at any depth."""
+    """Yield the types of all plugins in a dictionary of Mitsuba, recursively."""
     return (node["type"] for node in nodes_of(content) if isinstance(node, dict) and "type" in node)
 
 
 def holds_none(content: Any) -> bool:
-    """Return whether None is among plain values, at any depth, because it ends Mitsuba's process."""
+    """Return whether plain values contain None at any depth, which would crash Mitsuba."""
     return any(node is None for node in nodes_of(content))
 
 
 def nodes_of(content: Any) -> Iterator[Any]:
-    """Yield plain values and the contents of dictionaries and lists among them, at any depth."""
+    """Yield a plain value and, recursively, all values in its dictionaries and lists."""
     waiting = [content]
     while waiting:
         node = waiting.pop()

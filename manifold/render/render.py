@@ -1,9 +1,9 @@
-"""Renders of the material ball in Mitsuba; importing this module registers the BSDF plugin `manifold`.
+"""Renders the material ball in Mitsuba; importing this module registers the BSDF plugin `manifold`.
 
-Spectral scenes are rendered with a colorimetric film: its three channels weigh the light that arrives by
-colour-science's matching functions and by the illuminant, which the scene does not contain. Therefore one scene can
-be rendered under all illuminants, and the emission lines of fluorescent lamps are sampled. The white of the
-illuminant is adapted to that of sRGB.
+Spectral scenes are rendered with a colorimetric film. The scene does not contain the illuminant; the film's three
+channels weight the arriving light by the illuminant and by the colour matching functions. Therefore one scene can be
+rendered under all illuminants, and the emission lines of fluorescent lamps are sampled. The white of the illuminant
+is adapted to the white of sRGB.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class RenderSettings:
     Attributes:
         size: pixels per side.
         samples: light paths per pixel.
-        seed: of the noise; equal seeds give equal pictures.
+        seed: seed of the noise; equal seeds give equal pictures.
         environment: linear RGB radiance (H, W, 3) in the layout of `lights.studio`, which is the default.
         window: the part of the picture that is rendered, as left, top, width and height in pixels; all of it if None.
     """
@@ -52,7 +52,7 @@ class RenderSettings:
 
     @property
     def light(self) -> str:
-        """Name the light, as beside errors of pictures."""
+        """The name of the light, for texts beside errors of pictures."""
         around = "studio" if self.environment is None else "the environment map"
         return f"{around}, {self.illuminant.name}"
 
@@ -71,9 +71,10 @@ def render_bsdf(
     is_rgb: bool,
     settings: RenderSettings,
 ) -> Array:
-    """Render the ball of a material, a dictionary of Mitsuba: linear sRGB, shape (size, size, 3) or that of the window.
+    """Render the ball of a material, given as a dictionary of Mitsuba, in linear sRGB, shape (size, size, 3).
 
-    A material without a spectrum, `is_rgb`, is rendered under D65 only.
+    With a window in the settings, the result has the window's shape. Materials without a spectrum (`is_rgb`) can only
+    be rendered under D65.
     """
     window = {} if settings.window is None else dict(zip(_WINDOW, settings.window, strict=True))
     if is_rgb:
@@ -102,8 +103,7 @@ def render_floating_ball(
 ) -> Array:
     """Render a measured file on a ball alone in an environment under D65, in linear sRGB, shape (size, size, 3).
 
-    The environment (H, W, 3) is laid out as `lights.studio` does; `view` holds arguments of
-    `scenes.floating_ball`.
+    The environment (H, W, 3) has the layout of `lights.studio`; `view` holds arguments of `scenes.floating_ball`.
     """
     settings, bsdf = RenderSettings(size, samples), {"type": "measured", "filename": str(path)}
     mi = backend.mitsuba("rgb" if is_rgb else "spectral")

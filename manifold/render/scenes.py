@@ -1,8 +1,8 @@
 """The material ball: a sphere on a pedestal under the studio light, as a Mitsuba scene.
 
-World: z points up, the camera looks along +y, lengths are in radii of the ball. The studio is an environment image,
-scaled so that a white diffuser that lies on the floor has the radiance 1, and a diffuse material shows its
-reflectance.
+In the world frame, z points up, the camera looks along +y, and lengths are in radii of the ball. The studio is an
+environment image, scaled so that a white diffuser that lies on the floor has radiance 1 and a diffuse material shows
+its reflectance.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _RADIUS, _HEIGHT, _ROUNDING, _BOWL_RADIUS, _BOWL_DEPTH = 1.02, 0.3, 0.07, 0.62, 
 
 
 def pedestal(n_azimuths: int = 160) -> tuple[Array, Array]:
-    """Return the surface of revolution that the ball lies on: vertices (V, 3) and triangles (F, 3).
+    """Return the pedestal below the ball, a surface of revolution: vertices (V, 3) and triangles (F, 3).
 
     Vertices are float32, triangles uint32 with their normals outwards.
     """
@@ -82,10 +82,9 @@ def material_ball(
     film: Mapping[str, Any],
     environment: Array | None = None,
 ) -> dict[str, Any]:
-    """Return the scene, for `mi.load_dict` in the current variant, with a film of square shape.
+    """Return the scene of a material ball, for `mi.load_dict` in the current variant, with a square film.
 
-    The environment is linear RGB radiance, float32, shape (H, W, 3), laid out as `studio` does; the default
-    is `studio`.
+    The environment is linear RGB radiance, float32, shape (H, W, 3), in the layout of `studio`, which is the default.
     """
     transform = mi.ScalarTransform4f
     image = _studio() if environment is None else np.ascontiguousarray(environment, dtype=np.float32)
@@ -132,10 +131,10 @@ def floating_ball(
     distance: float = 1e3,
     margin: float = 0.0,
 ) -> dict[str, Any]:
-    """Return the scene of a ball alone in an environment, its outline in the middle of the picture.
+    """Return the scene of a ball alone in an environment, with its outline in the middle of the picture.
 
-    `turn_deg` is the azimuth of what lies straight ahead, from the environment's first column to the right; the camera
-    is `elevation_deg` above the ball, its distance and the margin around the outline are in radii of the ball.
+    `turn_deg` is the azimuth of the viewing direction, counted to the right from the environment's first column. The
+    camera is `elevation_deg` above the ball; its distance and the margin around the outline are in radii of the ball.
     """
     transform = mi.ScalarTransform4f
     elevation = np.deg2rad(elevation_deg)
@@ -170,7 +169,7 @@ def _grey(reflectance: float) -> dict[str, Any]:
 def mesh(mi: Any, vertices: Array, triangles: Array, **properties: Any) -> Any:
     """Return a mesh of vertices (V, 3) and triangles (T, 3), which has normals at its vertices.
 
-    It is loaded from a PLY file: Mitsuba 3.10 changes the constructor and the attributes of meshes.
+    It is loaded from a PLY file, because Mitsuba 3.10 changes the constructor and the attributes of meshes.
     """
     head = (
         f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n"

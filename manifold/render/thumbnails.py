@@ -1,4 +1,4 @@
-"""Small renders of materials for maps, walks and sheets: the square around the ball; measured ones are cached."""
+"""Renders small pictures of materials, cropped to the ball, for maps, walks and sheets; measured ones are cached."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Materials as shaders: a table of half floats, and code that evaluates and samples it in real time."""
+"""Exports materials as shaders: a table of half floats, and code that evaluates and samples it in real time."""
 
 import lazy_loader
 

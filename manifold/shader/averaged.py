@@ -1,4 +1,4 @@
-"""Anisotropic materials without their direction: means over the azimuth of the sample."""
+"""Averages anisotropic materials over the azimuth of the sample."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class AveragedBRDF(WrappedBRDF):
 
 
 def averaged(file: BsdfFile) -> BsdfFile:
-    """Return an anisotropic file as the isotropic file of its mean, at the same incidences and resolution."""
+    """Return the isotropic file of an anisotropic file's mean over azimuths, at the same incidences and resolution."""
     return goniometer.measure(
         AveragedBRDF(MeasuredBRDF(file)), file.name, description=file.description,
         resolution=file.spectra.shape[-1], theta_i_rad=file.theta_i_rad,

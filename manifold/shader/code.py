@@ -1,4 +1,4 @@
-"""The code of a shader: GLSL with the numbers of a table, and its translations to HLSL and Metal."""
+"""Generates the code of a shader: GLSL with the numbers of a table, and its translations to HLSL and Metal."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from manifold.shader.table import ShaderTable
 _COMPILERS = ("glslangValidator", "glslang")  # of Debian and older packages; of newer ones
 _LANGUAGES = {"hlsl": ("--hlsl", "--shader-model", "50"), "metal": ("--msl",)}
 ENTRY = "manifold_example"
-"""The entry point of translations, which shows how the functions are called."""
+"""Name of the entry point of translations, which shows how to call the functions."""
 _WRAPPER = """#version 310 es
 precision highp float;
 precision highp int;
@@ -40,21 +40,21 @@ _TIMEOUT_S = 60.0
 
 
 class Translations(NamedTuple):
-    """Code by the suffix of its file, and a note if there is none."""
+    """Translated code by file suffix, and a note if there are no translations."""
 
     code: dict[str, str]
     note: str | None = None
 
 
 def glsl(table: ShaderTable, name: str) -> str:
-    """Return the code of a table; `name` stands at its head."""
+    """Return the GLSL code for a table; `name` appears in its first comment."""
     text = files("manifold.shader").joinpath("manifold.glsl").read_text(encoding="utf-8")
     head = f"{' '.join(name.split())}, by manifold {__version__}"
     return text.replace("@NAME@", head).replace("@CONSTANTS@", _constants(table))
 
 
 def renamed(text: str, prefix: str | None) -> str:
-    """Return code whose functions and constants begin with another prefix than `manifold`; None keeps it."""
+    """Return the code with the prefix `manifold` of functions and constants replaced; None keeps it."""
     if prefix is None:
         return text
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*", prefix) or prefix.startswith("gl_"):
@@ -90,7 +90,7 @@ def _numbers(values: Iterable[float]) -> str:
 
 
 def translated(code: str) -> Translations:
-    """Return GLSL as HLSL (shader model 5) and Metal, by glslang and SPIRV-Cross where these are installed."""
+    """Translate GLSL to HLSL (shader model 5) and Metal, by glslang and SPIRV-Cross if these are installed."""
     compiler = next(filter(None, map(shutil.which, _COMPILERS)), None)
     converter = shutil.which("spirv-cross")
     if compiler is None or converter is None:

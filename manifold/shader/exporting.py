@@ -1,4 +1,4 @@
-"""The work behind `manifold export --target shader`: a material in, tables, code and a page out."""
+"""Implements `manifold export --target shader`, which writes a table, code and a page for a material."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ from manifold.shader.shader_page import make_page
 from manifold.shader.table import SUMS, ShaderTable, Shape, shapes_of, tabulate
 
 TARGET = "shader"
-"""The word of `manifold export --target`."""
+"""Name of the target in `manifold export --target`."""
 MOST_BYTES = 1 << 20
-"""Bytes of a texture."""
+"""Largest size of a texture in bytes."""
 
 LAYOUT, TEXTURE, CODE, PAGE = "manifold.json", "manifold.ktx2", "manifold", "index.html"
 PICTURE, BALLS = "manifold.png", "balls.png"
@@ -54,14 +54,14 @@ _PACK_PIXELS = 64
 
 @dataclass(frozen=True, eq=False)
 class Shader:
-    """A material as a table of a shader.
+    """A material as the table of a shader.
 
     Attributes:
-        table: the smallest within the tolerance, or the best of at most `MOST_BYTES`.
-        errors: of it against the source.
-        source, against: the material, and what it is: a measured, completed or predicted file, or a fit.
+        table: the smallest table within the tolerance, or the best table of at most `MOST_BYTES`.
+        errors: errors of the table against the source.
+        source, against: the material, and its origin: a measured, completed or predicted file, or a fit.
         reference: a finer table, which the page shows as the source, and its error.
-        notes: what a user should know.
+        notes: sentences for users.
     """
 
     name: str
@@ -76,10 +76,10 @@ class Shader:
 def make_shader(
     file: BsdfFile, material: EvaluableBRDF | None = None, *, tolerance: float = SHADER_TOLERANCE
 ) -> Shader:
-    """Return the smallest table within a tolerance, in CIEDE2000 of the ball (mean of the judged lights).
+    """Return the smallest table whose ball error (mean CIEDE2000 over the five test lights) is within a tolerance.
 
-    Errors are against the file, or against the fit that it was measured from. An anisotropic material is averaged over
-    its azimuths.
+    The error is measured against the file or, if the file was measured from a fit, against the fit. An anisotropic
+    material is averaged over its azimuths.
     """
     if not tolerance > 0.0:
         raise UsageError(f"a tolerance of {tolerance:g}, expected more than 0 {BALL}")
@@ -87,7 +87,7 @@ def make_shader(
     source = MeasuredBRDF(fill_unmeasured(file)) if material is None else material
     against = f"{file.origin} file" if material is None else "fit"
     if not file.is_isotropic:
-        notes.append("anisotropic: averaged over all azimuths of the sample, since the table has none")
+        notes.append("anisotropic: averaged over all azimuths of the sample, because the table is isotropic")
         file = averaged(file)
     brdf, rgb = MeasuredBRDF(fill_unmeasured(file)), file_to_srgb(fill_unmeasured(file))
     lobes, lights = fit_lobes(brdf, rgb.theta_i_rad), panel.judged()
@@ -100,7 +100,7 @@ def make_shader(
     shapes = shapes_of(rgb, MOST_BYTES)
     if not shapes:
         raise UsageError(
-            f"{file.name}: no table of it has at most {MOST_BYTES >> 20} MB; convert it to a coarser file"
+            f"{file.name}: its table would exceed {MOST_BYTES >> 20} MB; convert it to a coarser file"
         )
     for shape in shapes:
         table = tabulate(rgb, shape, lobes)
@@ -123,7 +123,7 @@ def make_shader(
 
 
 def read_material(source: MaterialSource) -> tuple[BsdfFile, EvaluableBRDF | None]:
-    """Return the file of a source; that of a fit is measured by the virtual goniometer, and has the fit beside it."""
+    """Return the file of a source; a fit is measured by the virtual goniometer, and returned as second value."""
     if not isinstance(source, FileSource) or not is_fit(source.path):
         return read_source(source), None
     fit = FittedBRDF.read(source.path)
@@ -143,8 +143,8 @@ def export(
 ) -> Outcome[MaterialSource]:  # fmt: skip
     """Write the table, the code in all languages, the layout and the page of a material into a folder.
 
-    With a picture, the source and the shader are also drawn beside each other, balls and slices. Names in the code
-    begin with `prefix`, by default `manifold`: materials of one program need different ones.
+    With a picture, balls and slices of the source and the shader are also drawn side by side. Names in the code begin
+    with `prefix`, by default `manifold`; several materials in one program need different prefixes.
     """
     code.renamed("", prefix)
     made = _export(
@@ -154,7 +154,7 @@ def export(
 
 
 def exports(tolerance: float, *, with_pictures: bool = False, is_pack: bool = False) -> BatchCommand[Input]:
-    """Return the command that writes a folder per material; a pack also has a page of balls."""
+    """Return the batch command that writes a folder per material; a pack also has an overview page."""
     columns: dict[str, Callable[[Content], Any]] = {
         BALL_COLUMN: lambda content: content["errors"]["ball"],
         "kB": lambda content: round(content["bytes"] / 1000),

@@ -1,4 +1,4 @@
-"""KTX 2.0 files of one texture of half floats, uncompressed.
+"""Writes KTX 2.0 files with one uncompressed texture of half floats.
 
 Source: Khronos, KTX File Format Specification 2.0; Khronos Data Format Specification 1.3.
 """
@@ -17,7 +17,7 @@ _ALIGNMENT = 8  # of the level: bytes of a texel
 
 
 def content(texels: Halves) -> bytes:
-    """Return a file of texels, shape (height, width, 4), the first row at the top."""
+    """Return the bytes of a file for texels of shape (height, width, 4), with the first row at the top."""
     height, width, _ = texels.shape
     start = len(_MAGIC) + _HEADER.size
     description, values = _description(), _values()

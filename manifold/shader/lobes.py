@@ -1,7 +1,7 @@
-"""The sampling of a shader: a mixture of a cosine and two GGX lobes, which needs no table and no search.
+"""Samples a shader by a mixture of a cosine and two GGX lobes, which needs no table and no search.
 
-Its density is a formula, so that it is exact for the samples whatever the material. Which lobes, and with which weights
-at which angle of incidence, is chosen so that the variance of `f cos / density` is small.
+The density is a formula, and therefore exact for every material. The lobes, and their weights at each angle of
+incidence, are chosen so that the variance of `f cos / density` is small.
 
 Source: Eto & Tokuyoshi 2023, "Bounded VNDF sampling for Smith-GGX reflections".
 """
@@ -20,10 +20,10 @@ from manifold.core.directions import from_spherical, normalize
 from manifold.core.records import Array
 
 ALPHAS = tuple(float(f"{a:.3g}") for a in np.geomspace(0.004, 0.9, 12))
-"""Roughness of lobes that are tried: the nearest of them is at most 28 % off, which costs little variance."""
+"""Roughnesses of the lobes that are tried; the nearest one is within 28 %, which increases the variance little."""
 
 LEAST_COSINE = 0.05
-"""Least weight of the cosine, which bounds `f cos / density` where the lobes have nothing."""
+"""Smallest weight of the cosine, which bounds `f cos / density` outside the lobes."""
 
 _POINTS = 15  # a side of the square of variates, at which each candidate is sampled for the choice
 _STEPS = 60  # of the weights' iteration; later ones change the variance by less than a percent
@@ -36,7 +36,8 @@ class Lobes:
     Attributes:
         alphas: roughness of the lobes, shape (2,).
         theta_i_rad: angles of incidence, increasing, shape (T,).
-        weights: of the cosine and of the lobes there, shape (T, 3); linear between, with sums 1.
+        weights: weights of the cosine and the lobes at these angles, shape (T, 3); rows sum to 1, and are
+            interpolated linearly.
     """
 
     alphas: Array
@@ -77,7 +78,7 @@ def sample_cosine(u: Array) -> Array:
 
 
 def sample_lobe(wi: Array, u: Array, alpha: float) -> Array:
-    """Return reflections (K, 3) at visible normals of GGX, mostly above the horizon, for variates (K, 2)."""
+    """Return reflections (K, 3) at visible GGX normals, mostly above the horizon, for variates u (K, 2)."""
     stretched = normalize(wi * [alpha, alpha, 1.0])
     bound = _bound(wi, alpha) * stretched[:, 2]
     z = (1.0 - u[:, 1]) * (1.0 + bound) - bound
@@ -108,7 +109,7 @@ def fit_lobes(brdf: EvaluableBRDF, theta_i_rad: Array) -> Lobes:
     """Choose lobes and weights for a material at some angles of incidence, shape (T,).
 
     The second moment of `f cos / density`, of luminances, is minimised over the weights by a multiplicative iteration
-    for each pair of roughnesses; the pair with the smallest sum of the logarithms is taken.
+    for each pair of roughnesses; the pair with the smallest sum of logarithms of these moments is chosen.
     """
     theta = np.asarray(theta_i_rad, float)
     fitted = theta[theta <= STEEPEST]

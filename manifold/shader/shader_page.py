@@ -1,4 +1,4 @@
-"""The page of a shader: one file that shows the source's ball beside the shader's, lit and turned by hand."""
+"""Makes the page of a shader, one file that shows the balls of source and shader under interactive light."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""A BRDF as one table of half floats that a shader reads: the form of RGL files, without searches.
+"""Tabulates a BRDF for shaders in one table of half floats, similar to RGL files but without searches.
 
-RGL files store values at coordinates (u, v) that a warp of the half vector's square (x, y) gives, one warp per angle
-of incidence: u is a conditional cumulative sum over the row's total, v the marginal sum of the rows. A shader would
-read densities and sums at four corners. Here the sums themselves are tabulated on a coarse grid of (x, y), so that one
-filtered read per incidence returns the sum, the total and the marginal sum; another one returns the values.
+RGL files store values at coordinates (u, v), to which a warp maps the half vector's square coordinates (x, y); there
+is one warp per angle of incidence. u is the cumulative sum within a row divided by the row's total, v the cumulative
+sum of the rows. Here these sums are tabulated on a coarse grid of (x, y), so that one filtered read per incidence
+returns the sum in the row, the total and the sum of rows, and another read the values.
 
 Source: Dupuy & Jakob 2018, sections 4 and 5; f cos(theta_o) = values * ndf / (4 sigma).
 """
@@ -37,14 +37,14 @@ _LEAST_TOTAL = 1e-7  # of a row of a warp: less is black in halves
 
 @dataclass(frozen=True, order=True)
 class Shape:
-    """Numbers of nodes of a table: `bytes` orders shapes.
+    """The numbers of nodes of a table; shapes are ordered by their size in bytes.
 
     Attributes:
-        bytes: of the texture.
-        incidences: angles of incidence T.
+        bytes: size of the texture in bytes.
+        incidences: number of angles of incidence, T.
         values: nodes per axis of the values, R.
-        columns, rows: of the sums, over x (elevation) and y (azimuth) of the half vector.
-        nodes: of the normal distribution, N.
+        columns, rows: nodes of the sums over x (elevation) and y (azimuth) of the half vector.
+        nodes: nodes of the normal distribution, N.
     """
 
     bytes: int
@@ -84,7 +84,10 @@ class Shape:
         return self.normal_row + 1
 
     def block(self, t: int, columns: int, rows: int, first_row: int) -> tuple[slice, slice]:
-        """Return rows and columns of the texels of incidence t: blocks stand side by side, then below each other."""
+        """Return the rows and columns of the texels of incidence t.
+
+        Blocks are arranged side by side, then below each other.
+        """
         row, column = divmod(t, self.width // columns)
         y, x = first_row + row * rows, column * columns
         return slice(y, y + rows), slice(x, x + columns)
@@ -101,10 +104,10 @@ class ShaderTable(WrappedBRDF):
     """The BRDF of a table, computed as the shader does, with the table's own sampling.
 
     Attributes:
-        theta_i_rad: angles of incidence, increasing, shape (T,).
-        texels: half floats, shape (height, width, 4).
-        factor: what products of values and the normal distribution are multiplied with.
-        lobes: by which directions are sampled.
+        theta_i_rad: angles of incidence in radians, increasing, shape (T,).
+        texels: texels of the texture, half floats, shape (height, width, 4).
+        factor: factor on the products of values and normal distribution.
+        lobes: lobes from which directions are sampled.
     """
 
     def __init__(self, shape: Shape, theta_i_rad: Array, texels: Halves, factor: float, lobes: Lobes) -> None:
@@ -170,7 +173,7 @@ def incidence(theta_i_rad: Array, theta: Array) -> tuple[NDArray[np.intp], Array
 
 
 def tabulate(file: BsdfFile, shape: Shape, lobes: Lobes) -> ShaderTable:
-    """Return an isotropic file in linear sRGB as a table, at some of its incidences; lobes are of all of them."""
+    """Tabulate an isotropic file in linear sRGB at some of its incidences; `lobes` covers all of them."""
     kept = kept_incidences(len(file.theta_i_rad), shape.incidences)
     theta = np.asarray(file.theta_i_rad, float)[kept]
     texels = np.zeros((shape.height, shape.width, CHANNELS))
@@ -191,12 +194,12 @@ def tabulate(file: BsdfFile, shape: Shape, lobes: Lobes) -> ShaderTable:
 
 
 def kept_incidences(available: int, count: int) -> NDArray[np.intp]:
-    """Return indices of `count` of so many incidences, evenly chosen, the first and the last among them."""
+    """Return `count` evenly spaced indices of `available` incidences, including the first and the last."""
     return np.unique(np.rint(np.linspace(0, available - 1, count)).astype(np.intp))
 
 
 def shapes_of(file: BsdfFile, most_bytes: int) -> list[Shape]:
-    """Return the shapes of tables of a file that have at most so many bytes, the smallest first."""
+    """Return the shapes of tables of a file that have at most `most_bytes` bytes, smallest first."""
     T, R = len(file.theta_i_rad), file.spectra.shape[-1]
     nodes = min(max(file.ndf.shape[1], file.sigma.shape[1]), _MOST_NODES) if file.jacobian else 2
     found = {
@@ -210,7 +213,7 @@ def shapes_of(file: BsdfFile, most_bytes: int) -> list[Shape]:
 
 
 SUMS = ((16, 12), (24, 12), (24, 16), (32, 16), (32, 24), (48, 24), (48, 32), (64, 32), (64, 48), (96, 64))
-"""Columns and rows of sums that are tried: elevations of half vectors need twice as many nodes as azimuths."""
+"""Columns and rows of the sums that are tried; elevations of half vectors need more nodes than azimuths."""
 _VALUES = (16, 24, 32, 48)  # nodes per axis of the values that are tried, and those of the file
 _LEAST_INCIDENCES = 6  # files of the RGL database have eight
 

@@ -1,4 +1,4 @@
-"""Studies: the chart of speed against accuracy, failure modes, budgets for scenes."""
+"""Studies: the chart of speed against accuracy, failure modes, and budgets for scenes."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Speed against accuracy: every setting of the registry on one library, by cross-validation, in one run."""
+"""Measures speed and accuracy of every setting on one library, by cross-validation, in one run."""
 
 from __future__ import annotations
 
@@ -46,11 +46,12 @@ class Chart:
     """All settings, measured in one run.
 
     Attributes:
-        rows: setting by setting; held-out ones first.
-        fronts: by error, then by cost, the keys of held-out settings that no other dominates, cheapest first.
-        folds: of the cross-validation.
-        reference_seconds: median processor time of the reference, in which all times are.
-        scaled: what was measured in part, and how it was scaled to the whole.
+        rows: results of the settings, held-out settings first.
+        fronts: for each error and cost, the keys of held-out settings that no other setting dominates, cheapest
+            first.
+        folds: number of folds of the cross-validation.
+        reference_seconds: median processor time of the reference, the unit of all times.
+        scaled: texts about quantities that were measured in part and scaled to the whole.
     """
 
     rows: tuple[ChartRow, ...]
@@ -73,7 +74,7 @@ class Chart:
 
 
 def cost_of(row: ChartRow, cost: str) -> float:
-    """Return a cost, one of `COSTS`: reference times, or bytes; NaN if unknown."""
+    """Return one of the costs `COSTS` of a setting, in reference times or bytes; NaN if unknown."""
     value = getattr(row, cost)
     if value is None:
         return np.nan
@@ -106,22 +107,22 @@ def make_chart(
     library: Library | None = None,
     workers: Executor | None = None,
 ) -> Chart:
-    """Measure settings on materials, left out in at most ten folds.
+    """Measure settings on materials by cross-validation in at most ten folds.
 
     Args:
-        files: at least four, of the same bands.
-        only: keys of settings; all by default.
-        grid: direction pairs of the errors; by default 45 x 23 x 12.
-        fitted: how many materials the fits of `seen_fits.METHODS` represent.
-        library: of the files, where settings that are done are kept until all are, so that an interrupted run is
-            continued on the same machine.
-        workers: see `work.run`; they read the files from the library. Times are relative to
-            a reference in the same process.
+        files: at least four files with the same bands.
+        only: keys of settings; by default all.
+        grid: grid of direction pairs of the errors; by default 45 x 23 x 12.
+        fitted: number of materials to which the fits of `seen_fits.METHODS` are made.
+        library: library of the files, in which finished settings are kept until the run ends, so that an interrupted
+            run continues on the same machine.
+        workers: executor, see `work.run`, whose processes read the files from the library. Times are relative to a
+            reference in the same process.
 
     Raises:
         UsageError: a key is unknown, there are fewer than four materials, or there are workers
             without a library.
-        ManifoldError: a setting cannot be measured, or a worker was lost.
+        ManifoldError: a setting cannot be measured, or a worker process ended unexpectedly.
     """
     if len(files) < 4:
         raise UsageError(
@@ -147,7 +148,7 @@ def make_chart(
         tasks = [[key] for key in sorted(todo, key=storage)]
     else:
         if library is None:
-            raise UsageError("found no library, expected that of the files, from which workers read them")
+            raise UsageError("workers need the library of the files, from which they read; give the library")
         measure = partial(_measure_there, library=library.path, names=names, how=how)
         of_fits: dict[Hashable, list[str]] = {}  # settings that share a fit are one task
         for key in todo:
@@ -243,7 +244,8 @@ def _from_arrays(arrays: Mapping[str, Array]) -> dict[str, ChartRow]:
 def fronts(rows: Sequence[ChartRow]) -> dict[str, dict[str, list[str]]]:
     """Return the keys of the held-out settings on each front of an error and a cost, cheapest first.
 
-    Neither errors and bytes that differ by 1 %, nor times that differ by 10 % or their spreads, count as different.
+    Errors and bytes are equal if they differ by less than 1 %, times if they differ by less than 10 % or their
+    spreads.
     """
     rows = [row for row in rows if row.is_held_out]
     return {error: {cost: _front(rows, error, cost) for cost in COSTS} for error in ERRORS}
@@ -262,9 +264,9 @@ def _front(rows: Sequence[ChartRow], error: str, cost: str) -> list[str]:
 
 
 def dominators(costs: Array, tolerance: Array | float = 0.0) -> list[list[int]]:
-    """Return per row of costs (M, C) the rows that are better in one column and worse in none; less is better.
+    """Return, for each row of costs (M, C), the rows that are better in one column and worse in none; less is better.
 
-    Every cost is an interval, known to +- tolerance: it is better, or worse, where intervals do not meet.
+    Costs are known within +- tolerance; a cost is better or worse only if the two intervals do not overlap.
     """
     low, high = costs - tolerance, costs + tolerance
     better = high[:, None] < low[None]  # [row, than row, C]

@@ -1,4 +1,4 @@
-"""Charts of errors: against three costs, with named Pareto fronts; against the number of readings."""
+"""Draws charts of errors against three costs, with Pareto fronts, and against the number of readings."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ _LEAST_ERROR = 1e-4  # smaller ones are drawn here
 
 
 def chart(measured: Chart) -> Figure:
-    """Draw errors against costs: points on the front filled and joined, dominated ones pale, seen ones as crosses."""
+    """Draw errors against costs; settings on the front are filled and joined, dominated ones pale, fits as crosses."""
     figure = new_figure(15.0, 12.4)
     kind = "RGB" if measured.n_bands == 3 else f"{measured.n_bands} bands"
     figure.suptitle(

@@ -1,4 +1,4 @@
-"""Surfaces from pictures: colour, slope and sparkle per pixel, on top of a completed BRDF."""
+"""Estimates surfaces from pictures: colour, slope and sparkle per pixel, in addition to a completed BRDF."""
 
 import lazy_loader
 

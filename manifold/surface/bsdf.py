@@ -1,6 +1,6 @@
-"""The BSDF plugin `surface`: another BSDF whose colour a texture changes from point to point.
+"""The BSDF plugin `surface`, which changes the colour of another BSDF by a texture.
 
-Scenes name it after `manifold.surface.bsdf.register()`, in LLVM variants:
+Scenes can use it after `manifold.surface.bsdf.register()`, in LLVM variants:
 
     {"type": "surface", "changes": {"type": "bitmap", "bitmap": ..., "raw": True},
      "nested": {"type": "measured", "filename": "mean_spec.bsdf"}}

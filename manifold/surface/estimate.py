@@ -1,4 +1,4 @@
-"""Colour, slope and sparkle of every point of a surface, from pictures under several lamps."""
+"""Estimates colour, slope and sparkle at every point of a surface, from pictures under several lamps."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from manifold.surface.lamp_pictures import SurfacePictures
 from manifold.surface.response import SLOPE_STD, THIRD_STD, Response, gain_of
 
 SPARKLE = 1.8
-"""The least ratio of a glint's brightness to its surroundings."""
+"""Smallest ratio of a glint's brightness to its surroundings."""
 
 _SURROUNDINGS_PX = 9
 _BRIGHTEST = 0.999  # quantile of points; brighter ones are glints and dust
@@ -32,9 +32,9 @@ class Surface:
     Columns point along x, rows against y.
 
     Attributes:
-        name: of the sample.
+        name: name of the specimen.
         mean: mean diffuse colour in linear sRGB, 1 for a white diffuser, shape (3,).
-        albedo: albedo of every point relative to the mean, shape (H, W, 3), above 0, of mean 1.
+        albedo: albedo of every point relative to the mean, shape (H, W, 3), above 0, with mean 1.
         slope: x and y components of the normal over its z component, shape (H, W, 2).
         slope_std: standard deviations of both components, shape (2,); the prior's if no lamp determines a
             component.
@@ -58,7 +58,7 @@ class Surface:
         """Render a picture under another lamp, linear sRGB, shape (H, W, 3).
 
         Args:
-            lamp: unit vector towards it, shape (3,); NaN for diffuse light.
+            lamp: unit vector towards the lamp, shape (3,); NaN for diffuse light.
             mean: mean of the picture in linear sRGB, shape (3,).
         """
         factors = Response.of(lamp[None], mean[None], self.gain).factors[0]
@@ -67,7 +67,7 @@ class Surface:
 
     @property
     def is_middle(self) -> Mask:
-        """Mask of the pictures in which glints are counted: those under lamps near the normal, shape (J,)."""
+        """Mask (J,) of the pictures in which glints are counted, those under lamps near the normal."""
         return _is_middle(self.pictures)
 
     @property
@@ -76,12 +76,12 @@ class Surface:
 
     @cached_property
     def height(self) -> Array:
-        """Heights in pixels, of mean 0, shape (H, W), from the slopes weighted by their uncertainty."""
+        """Heights in pixels, with mean 0, from the slopes weighted by their uncertainty, shape (H, W)."""
         return integrated(self.slope, self.slope_std)
 
     @property
     def relief(self) -> Array:
-        """Slopes of the heights, shape (H, W, 2); integrability completes those that no lamp determines."""
+        """Slopes of the heights, shape (H, W, 2); integrability determines components that no lamp determines."""
         return _slopes_of(self.height)
 
 
@@ -196,10 +196,10 @@ def integrated(slope: Array, slope_std: Array) -> Array:
 
     Args:
         slope: components of normals along x (columns) and y (against rows), shape (H, W, 2).
-        slope_std: their standard deviations, shape (2,).
+        slope_std: standard deviations of both components, shape (2,).
 
     Returns:
-        Heights in pixels, of mean 0, shape (H, W); the normal leans towards where it falls.
+        Heights in pixels, with mean 0, shape (H, W); normals lean towards falling heights.
     Source: Frankot & Chellappa 1988, with weights; a mirrored surface is a sum of cosines, its slopes of sines.
     """
     h, w = slope.shape[:2]

@@ -54,12 +54,12 @@ class SurfaceFiles(Result):
 
     Attributes:
         folder: the folder of the files.
-        surface: of the sample.
-        sparkle: of the sample.
+        surface: the estimated surface of the specimen.
+        sparkle: sparkle statistics of the specimen.
         textures: tiling textures.
         mm_per_pixel: width of a pixel of the textures; None if unknown.
         completed: the completed mean BRDF; None without readings.
-        exports: CIEDE2000 of the ball between the mean BRDF and the fitted engine models, by target.
+        exports: ball errors (CIEDE2000) of the fitted engine models against the mean BRDF, by target.
         paths: paths of the written files by kind.
         notes: notes for the user, in sentences.
         seconds: total time.
@@ -70,7 +70,7 @@ class SurfaceFiles(Result):
     @property
     @derived()
     def sample(self) -> str:
-        """Name of the sample."""
+        """Name of the specimen."""
         return self.surface.name
 
     folder: Path = field(metadata=entry())
@@ -102,7 +102,7 @@ class SurfaceFiles(Result):
         ),
     )  # fmt: skip
     def albedo_std(self) -> Array:
-        """Standard deviation of the albedo texture over its mean, as it is written, shape (3,)."""
+        """Standard deviation of the written albedo texture, divided by its mean, shape (3,)."""
         mean = self.surface.mean
         return np.asarray(np.minimum(mean * self.textures.albedo, 1.0).std(axis=(0, 1)) / mean)
 
@@ -192,7 +192,7 @@ class SurfaceFiles(Result):
     @property
     @derived()
     def completion(self) -> Completed | None:
-        """The BRDF of the mean; None without readings."""
+        """The completed mean BRDF; None without readings."""
         return self.completed
 
     notes: tuple[str, ...] = field(metadata=entry())
@@ -220,18 +220,18 @@ def make_surface(
 
     Args:
         library: library of measured materials that completes the readings.
-        pictures: of the sample.
+        pictures: pictures of the specimen.
         readings: readings of the specimen; if None, no mean BRDF is written.
-        folder: folder to write into; made if missing, and locked against other runs.
+        folder: folder to write into; it is created if missing, and locked against other runs.
         name: beginning of the names of files; by default the name of the specimen.
         size: width and height of the textures in pixels.
         targets: export targets, which must support textures; nothing is exported without readings.
         mm_per_pixel: width of a pixel of the pictures, which is recorded; None if unknown.
 
     Raises:
-        UsageError: a target takes no textures, the folder cannot be written or another run writes to it, or a file
-            would replace an input.
-        MissingLibraryError: there are readings, and no library.
+        UsageError: a target does not support textures, the folder cannot be written or another run writes to it, or a
+            file would replace an input.
+        MissingLibraryError: there are readings, but no library.
     """
     require_textured(targets)
     if readings is not None:
@@ -287,7 +287,7 @@ def write_surface(
         written |= {"mean", "picture"}.union(*(_kinds_of(target, flakes) for target in exports))
     notes = (*textures.notes, *_notes(pictures, surface, sparkle, completed))
     if lost := [f"{name} {100.0 * share:.2g} %" for name, share in cut.items() if share > _FEW_CUT]:
-        notes += (f"bright points are cut in textures, of all points: {', '.join(lost)}",)
+        notes += (f"bright points are clipped in textures; shares of all points: {', '.join(lost)}",)
     if flakes is not None and exports:
         notes += notes_of_flakes(flakes, targets)
     made = SurfaceFiles(
@@ -302,7 +302,7 @@ def write_surface(
 
 
 def require_textured(targets: Sequence[str]) -> None:
-    """Raise UsageError if a target takes no textures."""
+    """Raise UsageError if a target does not support textures."""
     textured = [name for name, target in TARGETS.items() if target.textures]
     if unknown := [name for name in targets if name not in textured]:
         raise UsageError(f"found the target {unknown[0]!r}, expected one of {', '.join(textured)}")
@@ -374,7 +374,7 @@ _MITSUBA = """<!-- A surface of manifold: call manifold.surface.bsdf.register() 
 
 
 def mitsuba_document(paths: Mapping[str, Path], flakes: DrawnFlakes | None) -> str:
-    """Return the material in Mitsuba's XML, whose textures lie beside it."""
+    """Return the material as Mitsuba XML, which refers to textures in the same folder."""
     surface = (
         f'<bsdf type="normalmap">{_texture("normalmap", paths["normal"])}<bsdf type="surface">'
         f'{_texture("changes", paths["changes"])}<bsdf name="nested" type="measured">'
@@ -405,10 +405,10 @@ def write_exports(
     paths: Mapping[str, Path], textures: Textures, flakes: DrawnFlakes | None, targets: Sequence[str],
     cut: dict[str, float],
 ) -> dict[str, float]:  # fmt: skip
-    """Fit engines' models to the mean, write them with textures, and return their differences on the ball.
+    """Fit the engines' models to the mean BRDF, write them with textures, and return their ball errors by target.
 
-    Flakes are written as a clear coat with its own normals, which replaces any coat of the fitted model there.
-    `cut` receives the share of points that are clipped in each base texture.
+    Flakes are written as a clear coat with its own normals, which replaces the coat of the fitted model. `cut`
+    receives the share of clipped points of each base texture.
     """
     from manifold.fit import exporting
 
@@ -441,7 +441,7 @@ def write_exports(
 
 
 def notes_of_flakes(flakes: DrawnFlakes, targets: Sequence[str]) -> tuple[str, ...]:
-    """Return notes on parts of the flakes that the materials of engines do not show."""
+    """Return notes about properties of the flakes that the engines' materials cannot show."""
     notes = tuple(
         f"{name}: no flakes, because its coat shares the normals of its base"
         for name in targets

@@ -36,7 +36,7 @@ class SurfacePictures:
     Columns point along x, rows against y, both in the plane of the sample; z is its normal.
 
     Attributes:
-        name: of the sample.
+        name: name of the specimen.
         values: linear sRGB, shape (J, H, W, 3), above 0; channels registered to each other.
         lamps: unit vectors towards the lamps, shape (J, 3); NaN for diffuse light.
         camera: unit vector towards the camera, shape (3,).
@@ -62,7 +62,7 @@ class SurfacePictures:
         return np.isnan(self.lamps[:, 0])
 
     def without(self, picture: int) -> SurfacePictures:
-        """Return all pictures but one."""
+        """Return the pictures without the one with this index."""
         kept = [j for j in range(len(self.labels)) if j != picture]
         return replace(
             self, values=self.values[kept], lamps=self.lamps[kept], labels=tuple(self.labels[j] for j in kept),
@@ -71,7 +71,10 @@ class SurfacePictures:
 
     @property
     def factors(self) -> Array:
-        """Return the ratio of each picture's mean to its reading's, shape (J, 3); NaN without a reading."""
+        """Return the ratio of each picture's mean colour to that of its reading, shape (J, 3).
+
+        It is NaN for pictures without a reading.
+        """
         return np.asarray(self.values.mean(axis=(1, 2)) / self.means)
 
 
@@ -125,7 +128,7 @@ def read_folder(pictures: Sequence[Path], lamps: Path) -> SurfacePictures:
 
     Raises:
         UsageError: the numbers of lamps and pictures differ, or a lamp is below the surface.
-        FileFormatError: a line is no direction, or the sizes of the pictures differ.
+        FileFormatError: a line is not a direction, or the sizes of the pictures differ.
     """
     found = read_lamps(lamps, [path.name for path in pictures])
     if len(found) != len(pictures) or len(found) < _LEAST_LAMPS:
@@ -159,7 +162,7 @@ def files_in(sources: Sequence[Path]) -> list[Path]:
 
 
 def in_plane(angles_deg: Array | float) -> Array:
-    """Return directions in the plane of the lamps, which is vertical in pictures; positive angles point down."""
+    """Return unit vectors in the plane of the lamps, which is vertical in pictures; positive angles point down."""
     angles = np.deg2rad(angles_deg)
     return np.stack([0.0 * angles, -np.sin(angles), np.cos(angles)], axis=-1)
 

@@ -1,4 +1,4 @@
-"""Previews of a surface: a plane under a moving lamp and a ball in the studio; and materials for Mitsuba."""
+"""Renders previews of a surface, a plane under a moving lamp and a ball in the studio, and makes Mitsuba materials."""
 
 from __future__ import annotations
 
@@ -123,8 +123,11 @@ def material_of(
 
     Args:
         mi: Mitsuba.
-        mean, normal, changes, flakes: as of `strip`.
-        repeats: of the textures along u and v; v is negative for rectangles, whose v runs upwards.
+        mean: path of the file of the mean BRDF.
+        normal: unit normals, shape (S, S, 3).
+        changes: factors of the colours, see `spectral_changes`, shape (S, S, 3).
+        flakes: drawn flakes, or None.
+        repeats: repetitions of the textures along u and v; v is negative for rectangles, whose v runs upwards.
     """
     nested = {"type": "measured", "filename": str(mean)}
     changed = {"type": bsdf.NAME, "changes": _bitmap(mi, changes, repeats), "nested": nested}

@@ -1,11 +1,11 @@
 """A tiling texture that is quilted from patches of a picture (the *sample*).
 
-Patches lie on a grid that closes on itself, and overlap their neighbours. Between two of them runs the seam along which
-they differ least (Efros & Freeman 2001, Image quilting, by dynamic programming). Fine detail changes abruptly at
+Patches lie on a periodic grid and overlap their neighbours. Between two of them runs the seam along which they differ
+least (Efros & Freeman 2001, Image quilting, by dynamic programming). Fine detail changes abruptly at
 the seam, so that marks stay whole; slow variations are blended over a whole patch (Burt & Adelson 1983, A
 multiresolution spline), with weights that keep its variance (Heitz & Neyret 2018, Histogram-preserving blending).
-All parts of the sample are used about equally often: a patch is taken where few others were taken, and seams prefer the
-side that is used less.
+All parts of the sample are used about equally often: patches come from parts that were used rarely, and seams prefer
+the side that is used less.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class Quilt:
         return uses
 
     def blended(self, values: Array) -> Array:
-        """Return the texture of a sample's values, (H, W, C) of mean 0, shape (S, S, C)."""
+        """Return the blended texture (S, S, C) of a sample's values (H, W, C) with mean 0."""
         slow = gaussian_filter(values, (_SLOW_PX, _SLOW_PX, 0.0), mode="mirror")
         size, channels = len(self.owner), values.shape[2]
         texture, weights = np.zeros((size, size, channels)), np.zeros((size, size))

@@ -1,4 +1,4 @@
-"""The response of a point's brightness to its slope by angle of the lamp, measured on real paints.
+"""Models how the brightness of a point depends on its slope and the angle of the lamp, from measured paints.
 
     ln N_j = ln a + s(lamp_j) . slope + t(lamp_j) u
 
@@ -33,10 +33,10 @@ _DARK = 1e-3  # least linear value of a facet
 _GAINS = (0.5, 4.0)  # range of gains, which keeps slopes of a mirror-like completion finite
 
 SLOPE_STD = 0.13
-"""Standard deviation of slopes of the paints, the prior of each component."""
+"""Standard deviation of the paints' slopes, which is the prior of each component."""
 
 THIRD_STD = 0.071
-"""That of the third factor."""
+"""Standard deviation of the third factor."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +44,8 @@ class Response:
     """The responses of J pictures to slope and to the third factor.
 
     Attributes:
-        factors: of ln N to slope along x, along y, and the third factor, shape (J, 3).
-        weights: inverse variance of ln N, shape (J, 3 channels).
+        factors: derivatives of ln N with respect to slope along x, slope along y, and the third factor, shape (J, 3).
+        weights: inverse variance of ln N in each channel, shape (J, 3).
     """
 
     factors: Array
@@ -56,9 +56,9 @@ class Response:
         """Return the responses under lamps.
 
         Args:
-            lamps: unit vectors, shape (J, 3); NaN for diffuse light. Those in the plane of y and z have the measured
-                response of their side, those in other planes the mean of both sides.
-            means: linear sRGB of the pictures, shape (J, 3): dark channels are noisier.
+            lamps: unit vectors to the lamps, shape (J, 3); NaN for diffuse light. Lamps in the plane of y and z have
+                the measured response of their side, lamps in other planes the mean of both sides.
+            means: mean linear sRGB of the pictures, shape (J, 3); dark channels are noisier.
             gain: factor of the response to slope.
         """
         is_diffuse = np.isnan(lamps[:, 0])
@@ -111,12 +111,12 @@ def gain_of(brdf: EvaluableBRDF, pictures: SurfacePictures) -> float:
 
 
 def shaded(brdf: EvaluableBRDF, slope: Array, lamp: Array, camera: Array) -> Array:
-    """Return facets as a camera sees them under a lamp, linear sRGB (..., 3); 1 is a white diffuser that lies flat.
+    """Return the colours of facets under a lamp, linear sRGB (..., 3), where 1 is a white diffuser that lies flat.
 
     Args:
         brdf: BRDF of the facets, isotropic.
-        slope: x and y components of their normals over the z component, shape (..., 2).
-        lamp, camera: unit vectors, shape (3,).
+        slope: x and y components of the facets' normals over the z component, shape (..., 2).
+        lamp, camera: unit vectors to the lamp and to the camera, shape (3,).
     """
     normal = np.concatenate([slope, np.ones((*slope.shape[:-1], 1))], axis=-1).reshape(-1, 3)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)

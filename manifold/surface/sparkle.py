@@ -25,7 +25,7 @@ _DRAWS = 40_000  # flakes, by which shares are computed
 
 @dataclass(frozen=True)
 class Flakes:
-    """Flakes with normally distributed slopes that show as many glints as were counted.
+    """Flakes with normally distributed slopes that reproduce the number of counted glints.
 
     Attributes:
         density: number of flakes per 10,000 pixels.
@@ -42,7 +42,7 @@ class Flakes:
     reflectance: float
 
     def drawn(self, size: int, rng: np.random.Generator) -> DrawnFlakes:
-        """Return random flakes on a square that repeats, `size` pixels a side."""
+        """Draw random flakes on a periodic square with a side of `size` pixels."""
         count = rng.poisson(self.density * size**2 / _PER)
         centre = size * rng.random((count, 2))
         slopes = self.slope_std * rng.standard_normal((count, 2))
@@ -78,9 +78,9 @@ class DrawnFlakes:
     """Flakes drawn into tiling textures.
 
     Attributes:
-        flakes: their statistics.
-        normal: of the flakes, upwards between them, shape (S, S, 3).
-        mask: where flakes are, shape (S, S).
+        flakes: statistics of the flakes.
+        normal: normals of the flakes, upwards between them, shape (S, S, 3).
+        mask: mask of the flakes, shape (S, S).
     """
 
     flakes: Flakes
@@ -94,7 +94,10 @@ class DrawnFlakes:
 
     @property
     def share(self) -> float:
-        """Share of a flake's pixel that its facet covers, which reflects a quarter or, of brighter flakes, more."""
+        """Share of a flake's pixel that its facet covers.
+
+        The facet reflects a quarter or, for brighter flakes, more.
+        """
         return min(4.0 * self.flakes.reflectance, 1.0)
 
 

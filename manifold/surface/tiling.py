@@ -1,4 +1,4 @@
-"""Tiling textures of any size from the pictures of a specimen, with its density of marks."""
+"""Makes tiling textures of any size from the pictures of a specimen, with the same density of marks."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ class Textures:
     """Tiling textures of a surface, S rows and columns.
 
     Attributes:
-        albedo: relative to the mean, shape (S, S, 3), above 0, of mean 1.
-        slope: x and y components of the normal over its z component; rows run against y; shape (S, S, 2).
-        height: in pixels, of mean 0, shape (S, S).
+        albedo: albedo relative to the mean, shape (S, S, 3), above 0, with mean 1.
+        slope: x and y components of the normal over its z component, shape (S, S, 2); rows run against y.
+        height: heights in pixels, with mean 0, shape (S, S).
         notes: the parts of the specimen that are omitted, in sentences.
     """
 
@@ -51,7 +51,7 @@ class Textures:
     notes: tuple[str, ...] = ()
 
     def cut_share(self, mean: Array) -> float:
-        """Return the share of points that are cut where the albedo of a mean colour (3,) exceeds 1 in a channel."""
+        """Return the share of points whose albedo, for a mean colour (3,), exceeds 1 in a channel and is clipped."""
         return float(np.mean(np.any(mean * self.albedo > 1.0, axis=-1)))
 
     @property
@@ -66,7 +66,7 @@ def tile(surface: Surface, size: int = 1024, seed: int = 0) -> Textures:
 
     Args:
         surface: the estimated surface; its edges may differ in brightness.
-        size: pixels of a side.
+        size: side of the textures in pixels.
         seed: seed of the random positions of patches.
 
     Raises:
@@ -135,8 +135,7 @@ def dust_in(logs: Array) -> Mask:
     """Return a mask (H, W) of small spots of a colour that the sample has nowhere else, from logs of colours (H, W, 3).
 
     A colour that occurs in three spots or more is kept as part of the specimen; the frequency of rarer spots is
-    unknown. The mask
-    includes the two pixels around each spot.
+    unknown. The mask includes the two pixels around each spot.
     """
     smooth = gaussian_filter(logs, (_DUST_PX, _DUST_PX, 0.0))
     from_median = smooth - np.median(smooth, axis=(0, 1))
@@ -167,13 +166,13 @@ def blend(sample: Array, size: int, rng: np.random.Generator, *, avoided: Mask |
     """Return a periodic texture in which all parts of a sample are used about equally often.
 
     Args:
-        sample: shape (H, W, C).
-        size: pixels of a side.
-        rng: draws the places of patches.
-        avoided: pixels of the sample that are replaced by others, shape (H, W).
+        sample: values of the sample, shape (H, W, C).
+        size: side of the texture in pixels.
+        rng: random generator of the positions of patches.
+        avoided: mask of pixels of the sample that are replaced by others, shape (H, W).
 
     Returns:
-        Values, shape (size, size, C).
+        Values of the texture, shape (size, size, C).
 
     Raises:
         UsageError: the sample is too small.

@@ -1,4 +1,4 @@
-"""Reading a surface that `manifold surface` has written."""
+"""Reads a surface that `manifold surface` wrote."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ class WrittenSurface:
     """A surface that was read from its files.
 
     Attributes:
-        name: of the sample.
-        brdf: of the mean.
+        name: name of the specimen.
+        brdf: the mean BRDF.
         textures: the written textures: 8 bits, with colours clipped at white.
         flakes: the drawn flakes, or None.
         expected_ball: expected ball error of the mean BRDF, CIEDE2000; None if unknown.
@@ -57,9 +57,9 @@ def read_surface(path: Path | str) -> WrittenSurface:
         path: the folder, or `NAME.json` if the folder has several surfaces.
 
     Raises:
-        FileFormatError: the files are no such surface, or have no mean BRDF.
+        FileFormatError: the files are not a surface of this program, or have no mean BRDF.
         MissingFileError: a file is missing, or the folder has no surface.
-        UsageError: the folder has several.
+        UsageError: the folder has several surfaces.
     """
     path = Path(path)
     document = path

@@ -111,7 +111,7 @@ def test_measured_cells_are_those_above_the_horizon(tmp_path):
 
 
 def test_what_cannot_be_measured_is_refused():
-    with pytest.raises(UsageError, match="nothing is reflected back"):
+    with pytest.raises(UsageError, match="no light is reflected back"):
         goniometer.measure(Lambert(0.0, RGB), "black")
     with pytest.raises(UsageError, match="outgoing grid has 1"):
         goniometer.measure(Lambert(0.5, RGB), "coarse", resolution=1)

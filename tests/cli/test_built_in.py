@@ -113,7 +113,7 @@ def test_a_model_of_the_built_in_library_names_it(tmp_path):
 def test_that_of_another_version_is_refused():
     assert Library(shipped.named("built-in")).names
     for opened in (Library, mf.Manifold.load):
-        with pytest.raises(UsageError, match="another version of manifold; this one brings built-in@"):
+        with pytest.raises(UsageError, match="another version of manifold; this version contains built-in@"):
             opened("built-in@0123456789ab")
 
 

@@ -87,7 +87,7 @@ def test_no_command_writes_its_files_into_a_library(run, folder, arguments, plac
     before = _content(folder / "library.zarr")
     status, _, err = run(*arguments, place, cwd=folder)
     assert status == 2
-    assert f"{place}: in the library {folder / 'library.zarr'}, " in one_line(err)
+    assert f"{place}: lies in the library {folder / 'library.zarr'}, " in one_line(err)
     assert _content(folder / "library.zarr") == before
     assert not (folder / "library.zarr/materials/new").exists()
 

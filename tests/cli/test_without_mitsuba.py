@@ -68,7 +68,7 @@ def test_what_renders_says_in_one_line_what_is_missing(outcomes, name):
 
 
 def test_a_map_says_that_its_balls_are_left_out(outcomes):
-    assert "left out rendered balls, since Mitsuba is missing" in " ".join(outcomes["map"][1].split())
+    assert "left out rendered balls, because Mitsuba is missing" in " ".join(outcomes["map"][1].split())
 
 
 def test_the_metals_of_the_corpus_need_no_mitsuba(outcomes):

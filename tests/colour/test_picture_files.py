@@ -54,7 +54,7 @@ def test_sixteen_bits_of_grey_are_read_in_sixteen_bits(tmp_path, rng, ending):
     np.testing.assert_allclose(read.values, np.repeat(grey[..., None] / 65535.0, 3, 2), atol=1e-6)
     assert read.is_grey
     if ending == "png":  # which names no colour space, as pictures of photometric stereo
-        assert "taken as linear" in read.notes[0]
+        assert "read as linear" in read.notes[0]
 
 
 def test_phones_pictures_are_refused_with_the_command_that_converts_them(tmp_path):

@@ -174,7 +174,7 @@ def test_conversions_say_what_readings_leave_open(files, tmp_path):
     assert said(one, ".csv") == ""
     low = np.flatnonzero(whole.wo[:, 2] > 0.7)
     few = [low[np.isclose(whole.wi[low, 2], z, atol=1e-5)][::9][:15] for z in steps]
-    assert "interpolated between" in said(whole.select_pairs(np.concatenate(few)), ".bsdf")
+    assert "readings were interpolated" in said(whole.select_pairs(np.concatenate(few)), ".bsdf")
 
 
 def test_bands_that_were_not_measured_stay_so(files, tmp_path):
@@ -231,7 +231,7 @@ def rgl_of(bands: Bands, path):
 
 def test_a_sample_of_a_file_of_one_material_is_refused(tmp_path):
     rgl_of(Bands(None), tmp_path / "one.bsdf")
-    with pytest.raises(UsageError, match="an RGL file holds one material; leave the name of the sample out"):
+    with pytest.raises(UsageError, match="an RGL file holds one material; leave --sample out"):
         convert([tmp_path / "one.bsdf"], tmp_path / "one.csv", sample="other")
 
 
@@ -407,7 +407,7 @@ def test_lighttools_files_have_their_light_where_a_comment_says(tmp_path, coarse
         convert([tmp_path / "x.csv"], tmp_path / "x.bsdf", to="lighttools")
         assert "#incidence at azimuth POI + 90\n" in (tmp_path / "x.bsdf").read_text()
         notes = registry.read_readings(tmp_path / "x.bsdf").notes
-        assert "incidence is taken at azimuth POI + 90, as a comment says" in notes
+        assert "incidence is taken at azimuth POI + 90, as a comment in the file states" in notes
 
 
 def test_colours_of_a_lab_table_are_converted_to_daylight(tmp_path):
@@ -442,8 +442,8 @@ def test_csv_keeps_what_else_readings_say_and_other_formats_say_what_they_leave_
     for name in ("gloss", "viewing", "repeatability", "colour_error", "name", "instrument"):
         assert getattr(back, name) == getattr(readings, name)
     assert not any("left out" in note for note in convert([tmp_path / "all.csv"], tmp_path / "y.csv").notes)
-    (note,) = [n for n in convert([tmp_path / "all.csv"], tmp_path / "y.astm").notes if "no place" in n]
-    assert note == "left out, as ASTM table has no place for them: weights, uncertainties, gloss"
+    (note,) = [n for n in convert([tmp_path / "all.csv"], tmp_path / "y.astm").notes if "cannot store" in n]
+    assert note == "left out, because ASTM table cannot store them: weights, uncertainties, gloss"
 
 
 def test_merged_readings_keep_the_gloss_of_every_file(tmp_path):

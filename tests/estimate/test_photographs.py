@@ -223,7 +223,7 @@ def test_pictures_without_a_ball_end_in_one_line(run, folder, library, values, w
             ["ball.exr", "--light-ball", "ball.exr@5,64,40"],
             "of the mirror ball at 5.0,64.0,40.0 lies outside",
         ),
-        (["ball.exr", "--light", "studio", "--exposure", "bright"], "or free"),
+        (["ball.exr", "--light", "studio", "--exposure", "bright"], "or 'free'"),
         (["ball.exr", "--light", "studio", "--turn", 1, "--turn", 2], "2 turns for 1 photograph,"),
         (["ball.exr", "--light", "studio", "--camera", "curves.csv"], "spectral library"),
     ],
@@ -249,7 +249,7 @@ def test_a_light_of_display_values_and_clipped_lamps_are_said(folder, name):
     told = {note.split("; ")[0] for note in ball.notes}
     is_clipped = name != "light.exr"
     assert (f"{name}: its {count} brightest pixels have the same value" in told) == is_clipped
-    assert (f"{name}: taken as sRGB" in told) == (name == "light.png")
+    assert (f"{name}: read as sRGB" in told) == (name == "light.png")
 
 
 @pytest.mark.parametrize("name", ["$x^$_{.png", "a\nb\\$.png", "$" * 300])

@@ -252,7 +252,7 @@ def test_two_files_of_one_name_are_refused(folder, tmp_path):
         (["copper_rgb.fit.json", "-o", "x.obj"], "suffix '.obj', expected one of .glb"),
         (["copper_rgb.fit.json", "-o", "x.json"], "several targets are JSON"),
         (["copper_rgb.fit.json", "-o", "x.glb", "--srgb", "#ff0000"], "go with predictions"),
-        (["copper_rgb.bsdf", "-o", "x.glb", "--against", "copper_rgb.bsdf"], "compared with itself"),
+        (["copper_rgb.bsdf", "-o", "x.glb", "--against", "copper_rgb.bsdf"], "goes only with the JSON of a fit"),
         (["nowhere.fit.json", "-o", "x.glb"], "no such file"),
         (["nowhere.bsdf", "-o", "x.glb"], "no such file"),
         (["copper_rgb.fit.json", "-o", "no/x.glb"], "cannot write this file"),
@@ -338,7 +338,7 @@ def test_several_files_or_a_pattern_are_exported_into_a_folder(folder, tmp_path,
     assert result.exit_code == 0, result.output
     assert (tmp_path / "a1_unity.json").exists()  # a1.json may be another command's
     assert "export for unity" in run("info", "a1_unity.json").stdout
-    assert "a file for engines, which is not read back" in str(
+    assert "a file for engines, which cannot be read back" in str(
         run("compare", "a1.fit.json", "a1_unity.json").exception
     )
 

@@ -252,7 +252,7 @@ def test_a_described_bsdf_is_fitted_by_the_command(satin, tmp_path):
             "mitsuba_spectral and the values differ in type",
         ),
         (lambda c: c.update(residuals={}), "residuals has no 'cube-root'"),
-        (lambda c: c.update(diffuse_residual=float("nan")), "NaN is not a number of JSON"),
+        (lambda c: c.update(diffuse_residual=float("nan")), "NaN is not a valid number in JSON"),
         (lambda c: c["bsdf"]["parameters"][0].update(minimum=2.0), "minimum < maximum"),
     ],
 )

@@ -533,7 +533,7 @@ ETA = FreeParameter("eta", 0.5, 3.0, 1.0, per_band=True)
     ("call", "words"),
     [
         (lambda s: fit_bsdf(s, method="simplex"), "no method"),
-        (lambda s: fit_bsdf(s, metric="cubic"), "no residual"),
+        (lambda s: fit_bsdf(s, metric="cubic"), "there is no metric"),
         (lambda s: fit_bsdf(s, noise=0.0), "noise 0"),
         (lambda s: fit_bsdf(s, method="swarm", options=GaussNewton()), "SwarmOptions"),
         (lambda s: fit_bsdf(s, principled(["colour"])), "no free parameter 'colour'"),

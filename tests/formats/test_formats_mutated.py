@@ -115,7 +115,7 @@ def test_entities_that_grow_are_refused(tmp_path):
         ("csv", rb"\n45", b"\n195", "theta_i reaches 195"),
         ("astm", rb",\d\.\d+\n", b",1e250\n", "value of 1e"),
         ("cxf", rb"CxF3-core", b"CxF2-core", "older version"),
-        ("lighttools", rb"Wavelength \d+", b"Colour red", "given by Wavelength"),
+        ("lighttools", rb"Wavelength \d+", b"Colour red", "named by Wavelength"),
         (
             "zemax",
             rb"(?s)XYZ(.*)TristimulusX(.*)TristimulusY(.*)TristimulusZ",

@@ -232,8 +232,8 @@ def test_values_that_are_null_or_absent_are_not_measured(files, tmp_path):
         (lambda rows: rows[1].__setitem__(4, -0.1), "row 2: BRDF is -0.1"),
         (lambda rows: rows[1].__setitem__(0, "red"), "row 2: wavelength is red"),
         (lambda rows: rows[1].__setitem__(0, 450), "a wavelength of 450, expected metres"),
-        (lambda rows: rows[1].__setitem__(3, 30), "as in degrees, expected radians"),
-        (lambda rows: rows[1].__setitem__(1, 30), "as in degrees, expected radians"),
+        (lambda rows: rows[1].__setitem__(3, 30), "probably degrees, expected radians"),
+        (lambda rows: rows[1].__setitem__(1, 30), "probably degrees, expected radians"),
         (lambda rows: rows.clear(), "an empty brdf.lookupTable"),
     ],
 )

@@ -79,7 +79,7 @@ def test_a_file_that_a_worker_wrote_elsewhere_is_one_failure(tmp_path):
             return done((0, _Made({"letters": 4}, "0" * 64), None))
 
     (outcome,) = run(tmp_path, ["word"], written, Elsewhere())
-    assert "word.txt: not seen here after a worker wrote it; use a folder that all" in outcome.failure
+    assert "word.txt: a worker wrote this file, but it is not visible here; use a folder" in outcome.failure
 
 
 def test_a_failure_stops_nothing_and_stands_in_the_tables(tmp_path):

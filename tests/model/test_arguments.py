@@ -83,7 +83,7 @@ def test_an_azimuth_that_is_not_finite_is_refused(model, is_predicted):
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: mf.Manifold("built-in"), r"Manifold\('built-in'\): expected Manifold.load\(path\)"),
+        (lambda: mf.Manifold("built-in"), r"Manifold\('built-in'\): use Manifold.load\(path\)"),
         (lambda: mf.Manifold.load(None), "found NoneType, expected the path of a model"),
         (lambda: mf.read_bsdf(None), "found NoneType, expected the path of a .bsdf file, its bytes"),
         (

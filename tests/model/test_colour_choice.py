@@ -79,7 +79,7 @@ def test_two_colours_are_refused():
 def test_whole_materials_carry_their_colours(model):
     whole = Manifold.fit(model.library, GplvmSettings(), calibrate=False)
     assert whole.choose_colour(whole.X[0], NEAREST).colours is None
-    with pytest.raises(UsageError, match="cannot be chosen"):
+    with pytest.raises(UsageError, match="cannot be given"):
         whole.choose_colour(whole.X[0], ColourChoice(like="syn_felt_green"))
 
 

@@ -95,7 +95,7 @@ def test_a_picture_shows_few_landmarks_in_detail_and_all_others_as_points(model,
 
 
 def test_a_report_on_a_map_by_landmarks_is_refused(model):
-    with pytest.raises(UsageError, match="map of 10, 5 of them landmarks, expected all to be laid out"):
+    with pytest.raises(UsageError, match="map of 10, 5 of them landmarks, expected a map without landmarks"):
         make_report(model)
 
 

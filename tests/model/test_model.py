@@ -437,7 +437,7 @@ def test_colours_are_refused_where_materials_carry_them(library):
         lambda: model.colours.of_reflectance(model.X[0], np.full(3, 0.5)),
         lambda: model.predict(model.X[0], np.zeros(3)),
     ):
-        with pytest.raises(UsageError, match="cannot be chosen"):
+        with pytest.raises(UsageError, match="cannot be given"):
             ask()
 
 

@@ -280,5 +280,5 @@ def test_latents_of_ones_own_are_kept(folder, model, rng):
     )
     with pytest.raises(ShapeError, match=r"expected \(6, 2\)"):
         Manifold.fit(folder / "library.zarr", model.settings, latents=own[:, :1])
-    with pytest.raises(UsageError, match="expected kind gplvm"):
+    with pytest.raises(UsageError, match="use kind gplvm"):
         Manifold.fit(folder / "library.zarr", latents=own)

@@ -432,7 +432,7 @@ def test_files_of_a_page_do_not_go_into_a_library(tmp_path):
 
 
 def test_a_taken_port_is_named(served, context):
-    with pytest.raises(UsageError, match=f"port {served.server_port} cannot be listened on"):
+    with pytest.raises(UsageError, match=f"cannot listen on port {served.server_port}"):
         ExplorerServer("", context, served.server_port)
 
 

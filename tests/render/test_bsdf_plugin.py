@@ -497,7 +497,7 @@ def test_a_name_is_the_latent_of_its_material(models, rng):
         ({"latent": "syn_gloss_red:syn_felt_green:0.5"}, "a step of a walk"),
         ({"latent": "0.1,0.2", "tolerance": 50.0}, "expected a share"),
         ({"latent": "0.1,0.2", "model": "nothing.h5"}, "nothing.h5"),
-        ({"latent": "0.1,0.2", "srgb": "#ff0000"}, "colours cannot be chosen"),
+        ({"latent": "0.1,0.2", "srgb": "#ff0000"}, "colours cannot be given"),
         ({"latent_0": 0.1, "latent_1": 0.2, "like": "syn_gloss_red"}, "like needs one latent"),
     ],
 )

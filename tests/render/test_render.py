@@ -65,7 +65,7 @@ def test_a_white_diffuser_on_the_floor_has_radiance_one():
     solid_angle = np.sin(theta) * (np.pi / 128) ** 2
     irradiance = np.sum(environment[..., 0] * (np.maximum(np.cos(theta), 0.0) * solid_angle)[:, None])
     assert irradiance / np.pi == pytest.approx(1.0, rel=1e-3)
-    with pytest.raises(UsageError, match="that is black, expected light"):
+    with pytest.raises(UsageError, match="is black, expected radiance above 0"):
         lights.exposed(np.zeros((4, 8, 3)))
 
 

@@ -60,6 +60,6 @@ def test_a_killed_process_is_one_error(folder, monkeypatch):
     command, inputs = fits.fits(FitSettings()), find_inputs([FileSource(folder / "files")])
     with (
         work.processes(2) as workers,
-        pytest.raises(ManifoldError, match=r"a process was killed .*finished files are kept"),
+        pytest.raises(ManifoldError, match=r"a worker process was killed .*finished files are kept"),
     ):
         batch(command, inputs, folder / "out", workers)

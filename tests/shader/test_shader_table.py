@@ -126,7 +126,8 @@ def test_an_anisotropic_material_is_averaged_with_a_note():
     assert not file.is_isotropic
     shader = make_shader(file, tolerance=5.0)
     assert (
-        shader.notes[0] == "anisotropic: averaged over all azimuths of the sample, since the table has none"
+        shader.notes[0]
+        == "anisotropic: averaged over all azimuths of the sample, because the table is isotropic"
     )
     expected, found = isotropic.eval(wi, wo), shader.table.eval(wi, wo)
     assert np.allclose(found, expected, rtol=0.25)  # 16 nodes per axis

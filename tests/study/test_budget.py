@@ -334,7 +334,7 @@ def test_scenes_that_cannot_be_budgeted_say_why(tmp_path):
     rgb = lambert_file(tmp_path, "pale", (0.5, 0.5, 0.4), rgb=True)
     fails(
         UsageError,
-        "an RGB file in a scene with spectral ones",
+        "an RGB file in a scene with spectral files",
         scene(a=sphere(-1.1, path), b=sphere(1.1, rgb)),
     )
     latent = {"type": "manifold", "model": str(tmp_path / "model.h5"), "latent": "one"}

@@ -1,4 +1,4 @@
-"""Materials for engines: parameters of glTF, MaterialX, USD, Blender, Unreal and Unity, their files and losses."""
+"""Export targets: glTF, MaterialX, USD, Blender, Unreal and Unity, with their parameters, shading models and files."""
 
 import lazy_loader
 

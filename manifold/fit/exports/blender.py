@@ -35,7 +35,7 @@ PARAMETERS = {
     "Thin Film Thickness": Parameter(0.0, low=50.0, high=1200.0),
     "Thin Film IOR": Parameter(1.33, low=1.0, high=2.5),
 }
-"""Every socket that exports may set; colours without alpha."""
+"""Sockets that exports may set; colours have no alpha."""
 
 DEFAULTS = defaults(PARAMETERS)
 
@@ -114,7 +114,7 @@ _NAME_BYTES = 63  # that Blender 4 keeps of a name; with more, a script would no
 
 
 def parameters(material: PrincipledValues) -> dict[str, Any]:
-    """Return the values of the sockets, all of `DEFAULTS`. Sheen is Zeltner's, as in OpenPBR's fuzz."""
+    """Return the values of all sockets in `DEFAULTS`; the sheen is Zeltner's model, as in OpenPBR's fuzz."""
     made = DEFAULTS | {
         "Base Color": list(material.base_color),
         "Metallic": material.metallic,
@@ -131,7 +131,7 @@ def parameters(material: PrincipledValues) -> dict[str, Any]:
 
 
 def script(export: Export) -> str:
-    """Return Python for Blender that makes or changes the material of this name."""
+    """Return a Python script for Blender that creates or changes the material."""
     values = "{\n" + "".join(f"    {k!r}: {v!r},\n" for k, v in export.parameters.items()) + "}"
     sentence = export.sentence().replace("\\", "/").replace('"', "'")
     name = export.label.encode()[:_NAME_BYTES].decode(errors="ignore")
@@ -146,10 +146,12 @@ def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
     """Return the material's BRDF in Cycles, f in 1/sr, shape (P, 3).
 
     Args:
-        values: all of `DEFAULTS`; the distribution is Multiscatter GGX.
-        pairs: P of them.
-    Source: Blender's manual, Principled BSDF, and Cycles 5.0 (svm/closure.h, bsdf_microfacet.h): what is below a layer
-    is scaled by one minus the layer's albedo, towards the viewer.
+        values: values of all sockets in `DEFAULTS`; the distribution is Multiscatter GGX.
+        pairs: P direction pairs.
+
+    The BRDF below a layer is scaled by one minus the layer's albedo towards the viewer.
+
+    Source: Blender's manual, Principled BSDF, and Cycles 5.0 (svm/closure.h, bsdf_microfacet.h).
     """
     pairs = pairs.turned(2.0 * np.pi * values["Anisotropic Rotation"])
     base, tint, m = np.asarray(values["Base Color"]), np.asarray(values["Specular Tint"]), values["Metallic"]

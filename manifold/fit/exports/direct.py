@@ -1,4 +1,4 @@
-"""Parameters of a target fitted to a material with the target's own shading model, by the criterion of `principled`."""
+"""Fits the parameters of a target's own shading model to a material, by the criterion of `principled`."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ _PROMISING = ((4, 1.0), (8, 0.92))
 
 
 def fit_target(target: Target, start: Mapping[str, Any], samples: FitSamples) -> dict[str, Any]:
-    """Fit the parameters of a target, all of them, so that its model is nearest to a material.
+    """Fit all free parameters of a target so that its shading model is nearest to a material.
 
-    If programs evaluate the model differently, the sum of their squared residuals is minimised.
+    If programs implement the model differently, the sum of their squared residuals is minimised.
 
-    A thin film, or where the target has none a base colour by the angle of view, is tried where the ball differs
-    visibly without, and kept where it brings every program's ball nearer. A sheen keeps the hue of its start, where
-    there is none grey; its colour is free where that is nearer to all samples as well, of which the fit sees a part.
+    If the rendered sphere differs visibly, a thin film or, for targets without films, a view-dependent base colour is
+    tried; it is kept if it reduces the error of every implementation. A sheen keeps the hue of its start (grey if
+    there is none), unless a free colour also reduces the error over all samples, of which the fit uses a part.
 
     Args:
-        target: whose model.
-        start: parameters from those of `principled`; those that are not fitted keep them.
-        samples: of the material, with its ball; at most 512 of them are used.
+        target: the target.
+        start: parameters derived from `principled`; parameters that are not fitted keep these values.
+        samples: samples of the material, with its sphere; at most 512 are used.
     """
     few = samples.as_rgb().subsample(_PAIRS)
     free = [name for name, parameter in target.entries.items() if parameter.is_free]
@@ -86,9 +86,9 @@ def fit_target(target: Target, start: Mapping[str, Any], samples: FitSamples) ->
 
 
 def at_bounds(target: Target, values: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return fitted parameters that ended at a bound of their range, with that bound.
+    """Return the names of fitted parameters that ended at a bound of their range, with the bound.
 
-    Bounds that mean all or nothing do not count.
+    Bounds that mean none or all do not count: 0 of any share or colour, and 1 of a share that is not a colour.
     """
     found = []
     for name, parameter in target.entries.items():

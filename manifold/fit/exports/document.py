@@ -1,4 +1,4 @@
-"""The description of one exported material for one target."""
+"""Describes one exported material for one target."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ class Parameter:
     """A parameter of a target's model.
 
     Attributes:
-        default: of the target; a list of three for a colour.
-        is_free: whether a direct fit changes it.
-        low, high: the range of direct fits.
-        ridge: weight in direct fits of the distance from the start, which undetermined parameters keep: the relative
-            residual that a step through the whole range must save.
+        default: the target's default value; a list of three for a colour.
+        is_free: whether a direct fit changes the parameter.
+        low, high: range of the parameter in direct fits.
+        ridge: weight of the distance from the start in direct fits, so that undetermined parameters keep their start:
+            the reduction of the relative residual that justifies a step through the whole range.
     """
 
     default: Any
@@ -32,7 +32,7 @@ class Parameter:
 
     @property
     def is_share(self) -> bool:
-        """Return whether it ranges from 0 to 1; then a fit that comes near an end means that end."""
+        """Return whether the parameter ranges from 0 to 1; a fitted value near an end is then set to that end."""
         return (self.low, self.high) == (0.0, 1.0)
 
 
@@ -40,9 +40,9 @@ _TINT_RIDGE = 0.01
 
 
 def tint_parameter() -> Parameter:
-    """Return the parameter of a specular colour, which a fit moves if the samples support it.
+    """Return the parameter of a specular colour, which a fit changes only if the samples support it.
 
-    Little of the light that a fit sees depends on it, but all of the rim in front of a bright background.
+    It affects little of the light in a fit, but all of a sphere's rim in front of a bright background.
     """
     return Parameter([1.0, 1.0, 1.0], is_free=True, ridge=_TINT_RIDGE)
 
@@ -53,19 +53,19 @@ def defaults(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
 
 
 CURVE_COSINES = (0.0, 0.35, 0.6, 0.8, 1.0)
-"""Between normal and view, of the colours of a base that changes with the angle; linear between."""
+"""Cosines between normal and view at which a view-dependent base colour is given; it is linear between them."""
 
 
 @dataclass(frozen=True)
 class TextureFiles:
-    """Pictures beside a material's document, which continue across their edges.
+    """Files of a material's textures, which tile without seams.
 
     Attributes:
-        base_colour: PNG in sRGB; stands in place of the base colour.
-        normal: PNG of normals in tangent space, y up, as OpenGL and glTF have them.
-        coat: PNG of linear values, the weight of the coat in red and its roughness in green; stands in place of both.
-            None for the same coat everywhere.
-        coat_normal: normals of the coat, as `normal`; None with `coat`.
+        base_colour: PNG in sRGB that replaces the base colour.
+        normal: PNG of normals in tangent space, y up, as in OpenGL and glTF.
+        coat: PNG of linear values that replaces the coat's weight (red) and roughness (green); None for a uniform
+            coat.
+        coat_normal: PNG of the coat's normals, like `normal`; None if `coat` is None.
     """
 
     base_colour: Path
@@ -84,19 +84,19 @@ class Export:
     """A material as parameters of a target.
 
     Attributes:
-        name: of the material.
+        name: name of the material.
         target: name of the target.
-        parameters: of the target, all that it knows; colours are from 0 to 1.
-        source: where the parameters come from, plain values.
-        errors: of the ball of the target's own model, from what `against` names.
-        principled_errors: those of Mitsuba's `principled`; None where that is what `against` names.
+        parameters: all parameters of the target; colours are from 0 to 1.
+        source: origin of the parameters, as plain values.
+        errors: ball errors of the target's own shading model with respect to `against`.
+        principled_errors: ball errors of Mitsuba's `principled`; None if `against` is that fit.
         against: `measured file`, `prediction` or `fit`.
         beside: parameters of `Target.beside`; None if the target has none.
-        textures: in place of the base colour and the flat normal; None for one material everywhere.
-        implementations: errors by the names of programs that evaluate the parameters differently, `errors` the worst of
-            them; empty if one is known.
-        colour_space: of all colours.
-        caveat: what users of the target should know; empty for most targets.
+        textures: textures that replace the base colour and the flat normal; None for a uniform material.
+        implementations: errors by the name of each program that implements the model differently, of which `errors`
+            holds the worst; empty if only one implementation is known.
+        colour_space: colour space of all colours.
+        caveat: text for users of the target; empty for most targets.
     """
 
     name: str
@@ -114,11 +114,11 @@ class Export:
 
     @property
     def label(self) -> str:
-        """The name with question marks for unprintable characters, which programs refuse in names."""
+        """The name with unprintable characters replaced by question marks, because programs refuse them."""
         return "".join(c if c.isprintable() else "?" for c in self.name)
 
     def about(self) -> dict[str, Any]:
-        """Return everything but the parameters, as plain values."""
+        """Return everything except the parameters, as plain values."""
         made: dict[str, Any] = {
             "program": f"manifold {__version__}",
             "material": self.name,
@@ -138,7 +138,7 @@ class Export:
         return made
 
     def sentence(self) -> str:
-        """Return one line for people."""
+        """Return one line of text about the material and its errors."""
         caveat = f"; {self.caveat}" if self.caveat else ""
         return (
             f"{self.label}: Exported by manifold {__version__} for {self.target}; colours are {self.colour_space}; "
@@ -146,7 +146,7 @@ class Export:
         )
 
     def errors_in_words(self) -> str:
-        """Return the errors, of each implementation if there are several."""
+        """Return a text with the errors, of each implementation if there are several."""
         each = [f"{errors} in {name}" for name, errors in self.implementations.items()]
         return ", ".join(each) or str(self.errors)
 
@@ -155,6 +155,6 @@ class Export:
         return self.about() | {"parameters": dict(self.parameters)}
 
     def json_file(self, conventions: Mapping[str, str], **more: Any) -> bytes:
-        """Return a file of plain values, with the conventions of the parameters."""
+        """Return the bytes of a JSON file with all values and the conventions of the parameters."""
         made = self.to_json() | {"about": self.sentence(), "conventions": dict(conventions)} | more
         return (json.dumps(made, indent=2, allow_nan=False) + "\n").encode()

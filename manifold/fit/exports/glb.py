@@ -1,4 +1,4 @@
-"""Binary glTF files (`.glb`) of a ball and a plane of one material.
+"""Writes binary glTF files (`.glb`) of a sphere and a plane with one material.
 
 Source: glTF 2.0 specification, chapter 4 (GLB).
 """
@@ -25,14 +25,15 @@ _COLUMNS, _ROWS = 64, 32
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles.
+    """A triangle mesh with V vertices and F faces.
 
     Attributes:
-        name: of the mesh.
+        name: name of the mesh.
         positions, normals: float32, shape (V, 3).
-        tangents: along which anisotropic materials are rougher, with the sign of the bitangent, float32 (V, 4).
-        places: of vertices on a texture, from its upper left corner, float32 (V, 2).
-        triangles: indices, counterclockwise from outside, uint16 (F, 3).
+        tangents: directions along which anisotropic materials are rougher, with the sign of the bitangent, float32
+            (V, 4).
+        places: texture coordinates of the vertices, from the upper left corner, float32 (V, 2).
+        triangles: vertex indices, counterclockwise seen from outside, uint16 (F, 3).
     """
 
     name: str
@@ -89,7 +90,7 @@ _FLOAT, _UINT16, _VERTICES, _INDICES, _REPEAT = 5126, 5123, 34962, 34963, 10497
 
 
 def glb(export: Export) -> bytes:
-    """Return the file: nodes `ball` and `plane`, one material, loss and source among its extras."""
+    """Return the bytes of the file: nodes `ball` and `plane`, one material, with errors and source in its extras."""
     material: dict[str, Any] = gltf.to_json(export.parameters, export.label) | {"extras": export.about()}
     is_anisotropic = "KHR_materials_anisotropy" in material.get("extensions", {})
     document: dict[str, Any] = {

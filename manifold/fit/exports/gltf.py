@@ -1,4 +1,4 @@
-"""glTF 2.0: metallic-roughness with its extensions as parameters, as JSON of a material, and as a BRDF."""
+"""glTF 2.0 (metallic-roughness with extensions): its parameters, the JSON of a material, and its BRDF."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ _LAMBDA_SMOOTH = np.array([25.3245, 3.32435, 0.16801, -1.27393, -4.85967])
 
 
 def parameters(material: PrincipledValues) -> dict[str, Any]:
-    """Return the parameters that start a fit, all of `DEFAULTS`."""
+    """Return all parameters in `DEFAULTS` for a material, as the start of a fit."""
     alpha_x, alpha_y = material.alphas
     made = DEFAULTS | {
         "baseColorFactor": list(material.base_color),
@@ -103,11 +103,14 @@ def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
     """Return the material's BRDF, f in 1/sr, shape (P, 3).
 
     Args:
-        values: all of `DEFAULTS`.
-        pairs: P of them.
-    Source: glTF 2.0 specification, appendix B, and the implementation notes of the KHR_materials extensions, but for
-    what three.js and Khronos' renderer do otherwise: of the diffuse, Fresnel's share is taken per channel; a thin film
-    is seen at the angle of the viewer with the normal, and, as light that scatters between facets, as in three.js.
+        values: values of all parameters in `DEFAULTS`.
+        pairs: P direction pairs.
+
+    It follows three.js and Khronos' renderer where these differ from the specification: the diffuse part loses the
+    Fresnel reflectance per channel; a thin film is evaluated at the angle between viewer and normal; and multiple
+    scattering between facets is that of three.js.
+
+    Source: glTF 2.0 specification, appendix B, and the implementation notes of the KHR_materials extensions.
     """
     pairs = pairs.turned(values["anisotropyRotation"])
     base = np.asarray(values["baseColorFactor"])

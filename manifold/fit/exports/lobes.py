@@ -1,4 +1,4 @@
-"""Lobes, Fresnel terms and layers of the engines' shading models, evaluated with NumPy.
+"""Evaluates the lobes, Fresnel terms and layers of the engines' shading models with NumPy.
 
 Directions are unit vectors (P, 3) above the horizon, z the normal; values are in 1/sr without cosines.
 """
@@ -31,13 +31,13 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 @dataclass(frozen=True, eq=False)
 class ShadingPairs:
-    """Directions to the viewer and to the light, with their half vectors.
+    """P pairs of directions to the viewer and to the light, with their half vectors.
 
     Attributes:
         view, light, half: unit vectors (P, 3).
-        cos_v, cos_l, cos_h: with the normal, shape (P,).
-        cos_d: between view and half vector, shape (P,).
-        kept: results of functions that are `per_pairs`.
+        cos_v, cos_l, cos_h: cosines of these with the normal, shape (P,).
+        cos_d: cosines between view and half vector, shape (P,).
+        kept: cached results of functions decorated by `per_pairs`.
     """
 
     view: Array
@@ -51,7 +51,7 @@ class ShadingPairs:
 
     @classmethod
     def of(cls, view: Array, light: Array) -> ShadingPairs:
-        """Make pairs of directions (P, 3), at least a little above the horizon."""
+        """Make pairs from directions (P, 3), which are kept a little above the horizon."""
         half = normalize(view + light)
         least = 1e-6
         return cls(
@@ -60,12 +60,15 @@ class ShadingPairs:
         )  # fmt: skip
 
     def turned(self, rotation_rad: float) -> ShadingPairs:
-        """Return the pairs as a surface turned by an azimuth sees them."""
+        """Return the pairs in the frame of a surface that is turned by an azimuth."""
         return _turned(self, rotation_rad) if rotation_rad else self
 
 
 def per_pairs(function: Function) -> Function:
-    """Cache a function's last results in the pairs, because fits vary one number at a time; results are read-only."""
+    """Cache a function's last results in the pairs, because fits vary one parameter at a time.
+
+    Results are read-only.
+    """
 
     @wraps(function)
     def kept(pairs: ShadingPairs, *arguments: Any) -> Any:
@@ -88,7 +91,7 @@ def _turned(pairs: ShadingPairs, rotation_rad: float) -> ShadingPairs:
 
 @lru_cache(maxsize=64)
 def surface(alpha_x: float, alpha_y: float) -> GGX:
-    """Return the GGX surface of these roughnesses, which are kept from 0."""
+    """Return the GGX surface with these roughnesses, which are kept above 0."""
     return GGX.anisotropic(max(alpha_x, _LEAST_ALPHA), max(alpha_y, _LEAST_ALPHA))
 
 
@@ -107,7 +110,7 @@ def specular_joint(pairs: ShadingPairs, alpha_x: float, alpha_y: float) -> Array
 
 
 def schlick(f0: Array | float, f90: Array | float, cosine: Array) -> Array:
-    """Return Schlick's Fresnel term, (P, 3) for colours, else (P, 1)."""
+    """Return Schlick's Fresnel term, shape (P, 3) for colours, otherwise (P, 1)."""
     f0, f90, away = np.atleast_1d(f0), np.atleast_1d(f90), 1.0 - cosine[:, None]
     return f0 + (f90 - f0) * (away * (away * away) ** 2)
 
@@ -124,11 +127,11 @@ def f82_dip(f0: Array, edge: Array) -> Array:
 
 
 def artistic_index(reflectivity: Array, edge: Array, most: float = 0.99) -> tuple[Array, Array]:
-    """Return indices n and k, (3,) each, of a metal by its colours, (3,). Source: Gulbrandsen 2014, as in MaterialX.
+    """Return the indices n and k, each (3,), of a metal with these colours (Gulbrandsen 2014, as in MaterialX).
 
     Args:
-        reflectivity, edge: along the normal and towards grazing.
-        most: to which reflectivity is limited.
+        reflectivity, edge: colours at normal incidence and towards grazing incidence, each (3,).
+        most: upper limit of the reflectivity.
     """
     r = np.clip(reflectivity, 0.0, most)
     root = np.sqrt(r)
@@ -138,7 +141,7 @@ def artistic_index(reflectivity: Array, edge: Array, most: float = 0.99) -> tupl
 
 
 def mean_f82(f0: Array, edge: Array) -> Array:
-    """Return the mean of F82-tint over the hemisphere, (3,)."""
+    """Return the mean of F82-tint over the hemisphere, shape (3,)."""
     return f0 + (1.0 - f0) / 21.0 - f82_dip(f0, edge) / 126.0
 
 
@@ -172,9 +175,9 @@ def _at_alpha(table: Callable[..., Array], alpha: float, *arguments: Any) -> Arr
 
 
 def cubic(at: Array | float, count: int) -> tuple[Indices, tuple[Array, Array, Array, Array]]:
-    """Interpolate by cubics between `count` nodes 0, 1, 2 and so on.
+    """Interpolate by cubics between `count` nodes at 0, 1, 2 and so on.
 
-    Return the first of four nodes, and the weights of each.
+    Returns the index of the first of the four nodes around each position, and the weights of the four.
     """
     first = np.clip(np.asarray(at).astype(int) - 1, 0, count - 4)
     a = at - first
@@ -197,9 +200,9 @@ def dielectric_fresnel(pairs: ShadingPairs, ior: float) -> Array:
 
 @per_pairs
 def dielectric_share(pairs: ShadingPairs, alpha: float, ior: float) -> Array:
-    """Return the mean of `(F - F0) / (1 - F0)` over a correlated GGX lobe seen by the viewer, (P,).
+    """Return the mean (P,) of `(F - F0) / (1 - F0)` over a correlated GGX lobe seen by the viewer.
 
-    F is that of a dielectric.
+    F is the Fresnel reflectance of a dielectric.
     """
     return np.interp(pairs.cos_v, _COSINES, _at_alpha(_dielectric_table, alpha, round(float(ior), 6)))
 
@@ -219,15 +222,15 @@ def _visible_reflections(node: int) -> tuple[Array, Array]:
 
 
 def visible_reflections(alpha: float, cosines: Array, *, is_correlated: bool = True) -> tuple[Array, Array]:
-    """Return shares of samples in a GGX lobe's albedo (C, S), without Fresnel, and cosines with their facets (C, S).
+    """Return the weights (C, S) of S quadrature nodes in a GGX lobe's albedo without Fresnel, and their facet cosines.
 
-    Samples are nodes of a quadrature over the distribution of visible normals: azimuths of one half, and Gauss-Legendre
-    nodes that lie closer towards steep facets.
+    The nodes cover the distribution of visible normals: azimuths of one half, and Gauss-Legendre nodes that are
+    denser towards steep facets. The cosines (C, S) are between the view and the facets.
 
     Args:
-        alpha: of the lobe, kept from 0.
-        cosines: between view and normal, (C,), above 0.
-        is_correlated: whether masking of both directions is correlated with heights, else it is a product.
+        alpha: alpha of the lobe, kept above 0.
+        cosines: cosines between view and normal, above 0, shape (C,).
+        is_correlated: whether the masking of both directions is height-correlated; otherwise it is a product.
     """
     ggx = surface(max(alpha, 1e-3), max(alpha, 1e-3))
     x, share = gauss_legendre(_STEEPNESSES)
@@ -251,7 +254,7 @@ def visible_reflections(alpha: float, cosines: Array, *, is_correlated: bool = T
 
 
 def charlie(pairs: ShadingPairs, roughness: float) -> Array:
-    """Return the distribution of sheen, (P,), alpha the square of roughness. Source: Estevez & Kulla 2017, eq. 2."""
+    """Return the Charlie sheen distribution (P,) with alpha = roughness^2. Source: Estevez & Kulla 2017, eq. 2."""
     return _sine_power(pairs.cos_h, max(roughness, 0.05) ** 2)
 
 
@@ -261,7 +264,7 @@ def _sine_power(cos_h: Array, alpha: float) -> Array:
 
 
 def imageworks_sheen(pairs: ShadingPairs, roughness: float) -> Array:
-    """Return the sheen of standard_surface, (P,): alpha is roughness itself. Source: MaterialX 1.39, sheen_bsdf."""
+    """Return the sheen (P,) of standard_surface with alpha = roughness. Source: MaterialX 1.39, sheen_bsdf."""
     d = _sine_power(pairs.cos_h, roughness)
     return d / (4.0 * (pairs.cos_l + pairs.cos_v - pairs.cos_l * pairs.cos_v))
 
@@ -273,7 +276,10 @@ def dielectric_layer(
     pairs: ShadingPairs, below: Array, ior: float, alpha_x: float, alpha_y: float, *, weight: float = 1.0,
     tint: Array | float = 1.0, fresnel: Array | None = None,
 ) -> Array:  # fmt: skip
-    """Return a rough dielectric interface over a BRDF `below` (P, 3); its Fresnel term can be replaced."""
+    """Return the BRDF (P, 3) of a rough dielectric interface over a BRDF `below` (P, 3).
+
+    `fresnel` replaces its Fresnel term.
+    """
     if not weight:
         return below
     if fresnel is None:
@@ -285,7 +291,7 @@ def dielectric_layer(
 
 
 def metal(pairs: ShadingPairs, fresnel: Array, alpha_x: float, alpha_y: float) -> Array:
-    """Return a rough interface with a Fresnel term (P, 3), with nothing below."""
+    """Return the BRDF (P, 3) of a rough opaque interface with a Fresnel term (P, 3)."""
     lobe = specular_correlated(pairs, alpha_x, alpha_y)[:, None]
     return lobe * fresnel * _compensation(pairs, fresnel, alpha_x, alpha_y)
 
@@ -300,7 +306,7 @@ def _compensation(pairs: ShadingPairs, fresnel: Array, alpha_x: float, alpha_y: 
 def imageworks_layer(
     pairs: ShadingPairs, below: Array, weight: float, colour: Array, roughness: float
 ) -> Array:
-    """Return standard_surface's sheen over a BRDF `below`."""
+    """Return the BRDF (P, 3) of standard_surface's sheen over a BRDF `below` (P, 3)."""
     if not weight:
         return below
     x, y = pairs.cos_v, roughness
@@ -311,7 +317,7 @@ def imageworks_layer(
 
 
 def zeltner_layer(pairs: ShadingPairs, below: Array, weight: float, colour: Array, roughness: float) -> Array:
-    """Return OpenPBR's fuzz over a BRDF `below`: a linearly transformed cosine. Source: Zeltner et al. 2022."""
+    """Return the BRDF (P, 3) of OpenPBR's fuzz over a BRDF `below` (P, 3). Source: Zeltner et al. 2022."""
     if not weight:
         return below
     lobe, albedo = _zeltner(pairs, roughness)

@@ -1,4 +1,4 @@
-"""MaterialX documents (`.mtlx`) of one surface shader and one material."""
+"""Writes MaterialX documents (`.mtlx`) of one surface shader and one material."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ NODES: dict[str, tuple[str, Mapping[str, Any]]] = {
 """Category and defaults of the shader node of each target."""
 
 NODES_OF_COAT = {"open_pbr_surface": openpbr.COAT[:2], "standard_surface": standard_surface.COAT}
-"""Weight and roughness of the coat of each category."""
+"""Names of the coat's weight and roughness inputs, by category of shader."""
 
 TURN = ("tangent", "normal", "rotate3d")
-"""Nodes that turn the tangent of OpenPBR, which has no parameter for its anisotropy's direction: `in` and `axis` of
-the third are the first two."""
+"""Nodes that turn the tangent of OpenPBR, which has no parameter for the direction of anisotropy: the first two are the
+inputs `in` and `axis` of the third."""
 
 
 def identifier(name: str) -> str:
-    """Return a name that MaterialX, its shaders and USD accept: GLSL ES has no two underscores in a row."""
+    """Return a valid identifier for MaterialX, its shaders and USD; GLSL ES forbids two underscores in a row."""
     made = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
     return made if re.match(r"[A-Za-z]", made) else f"material_{made}".rstrip("_")
 
 
 def mtlx(export: Export) -> bytes:
-    """Return the document; inputs with default values are left out. Colours are linear Rec. 709."""
+    """Return the text of the document, without inputs at their defaults; colours are linear Rec. 709."""
     category, defaults = NODES[export.target]
     name = identifier(export.name)
     # lin_rec709: MaterialX's name of linear colours of Rec. 709 primaries

@@ -1,4 +1,4 @@
-"""OpenPBR surface 1.1: parameters, and the BRDF of MaterialX's implementation of it."""
+"""OpenPBR surface 1.1: its parameters, and the BRDF of its implementation in MaterialX."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ PARAMETERS = {
     "thin_film_thickness": Parameter(0.5, low=0.05, high=1.2),  # in micrometres
     "thin_film_ior": Parameter(1.4, low=1.0, high=2.5),
 }
-"""Every parameter that exports may set; of the tangent, the degrees by which nodes in front of it turn it."""
+"""Every parameter that exports may set; the tangent stands for the angle, in degrees, by which nodes turn it."""
 
 DEFAULTS = defaults(PARAMETERS)
 
@@ -49,7 +49,7 @@ FILM = ("thin_film_weight", "thin_film_thickness", "thin_film_ior")
 
 
 def parameters(material: PrincipledValues) -> dict[str, Any]:
-    """Return the parameters that start a fit, all of `DEFAULTS`."""
+    """Return all parameters in `DEFAULTS` for a material, as the start of a fit."""
     made = DEFAULTS | {
         "base_color": list(material.base_color),
         "base_metalness": material.metallic,
@@ -85,7 +85,7 @@ def _below_coat(values: Mapping[str, Any]) -> float:
 
 
 def roughened(roughness: float, added: float, weight: float) -> float:
-    """Return the roughness below a layer of a weight, which adds something to the fourth power of it."""
+    """Return the roughness below a layer, `(1 - weight) roughness + weight (roughness^4 + added)^(1/4)`."""
     return (1.0 - weight) * roughness + weight * min(roughness**4 + added, 1.0) ** 0.25
 
 
@@ -93,10 +93,12 @@ def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
     """Return the material's BRDF, f in 1/sr, shape (P, 3).
 
     Args:
-        values: all of `DEFAULTS`.
-        pairs: P of them.
-    Source: OpenPBR 1.1; layers as MaterialX 1.39 implements them: what is below is scaled by one minus the layer's
-    directional albedo seen by the viewer.
+        values: values of all parameters in `DEFAULTS`.
+        pairs: P direction pairs.
+
+    The BRDF below a layer is scaled by one minus the layer's directional albedo towards the viewer.
+
+    Source: OpenPBR 1.1; layers as MaterialX 1.39 implements them.
     """
     pairs = pairs.turned(np.deg2rad(values["geometry_tangent"]))
     base = np.asarray(values["base_color"]) * values["base_weight"]
@@ -140,7 +142,7 @@ def _metal_film(pairs: ShadingPairs, film_ior: float, thickness_nm: float, f0: A
 
 
 def alphas(roughness: float, anisotropy: float) -> tuple[float, float]:
-    """Return GGX alpha along the tangent and across."""
+    """Return GGX alpha along and across the tangent."""
     across = 1.0 - anisotropy
     alpha_x = roughness**2 * float(np.sqrt(2.0 / (1.0 + across**2)))
     return alpha_x, across * alpha_x

@@ -1,8 +1,8 @@
 """The BRDF of OpenPBR's parameters as Adobe's openpbr-bsdf implements it, which differs from MaterialX.
 
-The coat roughens what is below it by less, and depends on both weights; the diffuse base loses light to the interface
-on the way in and on the way out; masking is not correlated with heights; films are evaluated at three wavelengths, over
-metals by complex indices, as the specification suggests.
+The coat roughens the layers below it by less, depending on both weights. The diffuse base loses light at the
+interface on the way in and on the way out. Masking is not height-correlated. Thin films are evaluated at three
+wavelengths and, over metals, with complex indices, as the specification suggests.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from manifold.fit.exports.principled_values import ior_to_f0
 from manifold.fit.exports.thin_film import film_at_wavelengths
 
 WAVELENGTHS_NM = (620.0, 540.0, 450.0)
-"""At which red, green and blue see a thin film, openpbr-bsdf's base wavelengths."""
+"""Wavelengths at which a thin film is evaluated for red, green and blue, the base wavelengths of openpbr-bsdf."""
 
 _NODES = 32  # of its tables by the root of alpha and by the cosine
 _IORS = np.linspace(1.0, 2.0, 11)  # of its tables, as far as exports need them
@@ -34,8 +34,8 @@ def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
     """Return the material's BRDF, f in 1/sr, shape (P, 3).
 
     Args:
-        values: all parameters of `openpbr.DEFAULTS`.
-        pairs: P of them.
+        values: values of all parameters in `openpbr.DEFAULTS`.
+        pairs: P direction pairs.
     Source: github.com/adobe/openpbr-bsdf at a29da96, reflection of opaque surfaces seen from outside.
     """
     pairs = pairs.turned(np.deg2rad(values["geometry_tangent"]))

@@ -29,19 +29,20 @@ BASE_COLOUR = "diffuseColor"
 COAT = ("clearcoat", "clearcoatRoughness")
 
 HUED = ("specularColor",)
-"""The diffuse part loses Fresnel's share per channel in OpenUSD, and its mean in MaterialX.
+"""Colours whose hue no fit changes, because renderers treat them differently.
 
-A fitted colour of highlights that complements that of the diffuse part would therefore look right in only one
-of them.
+The diffuse part loses the Fresnel reflectance per channel in OpenUSD, and its mean in MaterialX. A fitted colour of
+highlights that compensates the diffuse colour would therefore look right in only one of them.
 """
 
 _IOR = 1.5  # the default, which here is the coat's alone
 
 
 def parameters(material: PrincipledValues) -> dict[str, Any]:
-    """Return parameters of a material, all of `DEFAULTS`; sheen and anisotropy have no counterpart.
+    """Return all parameters in `DEFAULTS` for a material; sheen and anisotropy have no counterpart.
 
-    The specular workflow: with the metallic one a material of metallic 0.3 would reflect 0.3 of white.
+    They use the specular workflow, because with the metallic workflow a material of metallic 0.3 would reflect 0.3 of
+    white.
     """
     base, m = np.asarray(material.base_color), material.metallic
     f0 = 0.0 if material.is_diffuse else ior_to_f0(material.ior)
@@ -62,10 +63,13 @@ def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
     """Return the material's BRDF, f in 1/sr, shape (P, 3).
 
     Args:
-        values: all of `DEFAULTS`.
-        pairs: P of them.
-    Source: UsdPreviewSurface specification 2.6, specular workflow; the lobes, which it leaves open, as in OpenUSD's own
-    previewSurface: GGX with Schlick's masking, the diffuse scaled by one minus Fresnel, the coat added.
+        values: values of all parameters in `DEFAULTS`.
+        pairs: P direction pairs.
+
+    The lobes, which the specification leaves open, are those of OpenUSD's own previewSurface: GGX with Schlick's
+    masking, the diffuse part scaled by one minus the Fresnel term, and the coat added.
+
+    Source: UsdPreviewSurface specification 2.6, specular workflow.
     """
     white = np.ones(3)
     fresnel = lobes.schlick(np.asarray(values["specularColor"]), white, pairs.cos_d)

@@ -23,9 +23,9 @@ class PrincipledValues:
         base_color: linear sRGB, 0 to 1.
         metallic, roughness, specular, clearcoat, clearcoat_gloss, sheen, spec_tint, sheen_tint, flatness,
             anisotropic: 0 to 1, as in Mitsuba's documentation.
-        is_diffuse: nothing but a Lambertian base.
+        is_diffuse: whether the surface is only a Lambertian base.
         rotation_rad: azimuth along which anisotropic highlights are wide, from 0 to pi, counterclockwise seen from
-            outside; 0, along x, as Mitsuba's are.
+            outside; Mitsuba's own value is 0, along x.
     """
 
     base_color: tuple[float, float, float]
@@ -62,7 +62,9 @@ class PrincipledValues:
         if bsdf["type"] != "principled":
             raise UsageError(f"a fit of {bsdf['type']} has no counterpart in engines; fit principled")
         if known.get("spec_trans", 0.0):
-            raise UsageError("a fit with spec_trans transmits light, which exports leave out; fit without it")
+            raise UsageError(
+                "a fit with spec_trans transmits light, which exports do not support; fit without it"
+            )
         numbers: dict[str, Any] = {
             k: snapped(known[k]) for k in cls.__dataclass_fields__ if k in known and k != "base_color"
         }
@@ -74,7 +76,7 @@ class PrincipledValues:
 
     @property
     def ior(self) -> float:
-        """Index of refraction: `2 / (1 - sqrt(0.08 specular)) - 1`, of a specular of 0.001 at least."""
+        """Index of refraction, `2 / (1 - sqrt(0.08 specular)) - 1`, for a specular of at least 0.001."""
         return float(2.0 / (1.0 - np.sqrt(0.08 * max(self.specular, 1e-3))) - 1.0)
 
     @property
@@ -86,10 +88,10 @@ class PrincipledValues:
 
     @property
     def coat_weight(self) -> float:
-        """The weight of a coat of index 1.5.
+        """The weight of a target's coat of index 1.5 that corresponds to Mitsuba's clear coat.
 
-        Mitsuba's clear coat lacks the division by both cosines: it is a whole one along the normal and falls with
-        their product, whose mean over the disc of a ball, lit as it is seen, is one half.
+        Mitsuba's clear coat is not divided by both cosines. It has full strength along the normal and decreases with
+        the product of the cosines, whose mean over a sphere lit from the viewer is one half.
         """
         return 0.5 * self.clearcoat
 
@@ -101,7 +103,7 @@ class PrincipledValues:
 
     @property
     def coat_roughness(self) -> float:
-        """The root of `coat_alpha`, as targets take it."""
+        """The roughness of the coat, the square root of `coat_alpha`."""
         return float(np.sqrt(self.coat_alpha))
 
     @property
@@ -122,7 +124,7 @@ class PrincipledValues:
 
     @property
     def around_mean(self) -> tuple[float, float]:
-        """Roughness and anisotropy a of targets whose alphas are (1 + a) and (1 - a) times the roughness's square."""
+        """Roughness r and anisotropy a for targets whose alphas are (1 + a) r^2 and (1 - a) r^2."""
         if self.anisotropic == 0.0:
             return self.roughness, 0.0
         x, y = self.alphas
@@ -138,9 +140,9 @@ class PrincipledValues:
         """Return the values of a target's sheen by the names of its parameters; empty without a sheen.
 
         Args:
-            weight, colour, roughness: the names.
-            scale: of the target's sheen to Mitsuba's; the weight is at most 1.
-            target_roughness: nearest to Mitsuba's sheen.
+            weight, colour, roughness: names of the target's parameters.
+            scale: ratio of the target's sheen to Mitsuba's; the weight is at most 1.
+            target_roughness: roughness of the target's sheen that is nearest to Mitsuba's sheen.
         """
         most = float(self.sheen_colour.max())
         if most <= 0.0:
@@ -155,11 +157,11 @@ def _colour(value: Any) -> tuple[float, float, float]:
 
 
 def snapped(value: Any) -> float:
-    """Return a value from 0 to 1; values as near to an end as fits can come become that end."""
+    """Return a value from 0 to 1, set to 0 or 1 if it is as near to them as a fit can come."""
     value = min(max(float(value), 0.0), 1.0)
     return 0.0 if value < _END else 1.0 if value > 1.0 - _END else value
 
 
 def ior_to_f0(ior: float) -> float:
-    """Return reflectance at normal incidence."""
+    """Return the reflectance at normal incidence of a dielectric with an index of refraction."""
     return ((ior - 1.0) / (ior + 1.0)) ** 2

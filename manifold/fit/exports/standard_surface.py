@@ -47,7 +47,7 @@ FILM = ("thin_film_thickness", "thin_film_IOR")
 
 
 def parameters(material: PrincipledValues) -> dict[str, Any]:
-    """Return the parameters that start a fit, all of `DEFAULTS`."""
+    """Return all parameters in `DEFAULTS` for a material, as the start of a fit."""
     made = DEFAULTS | {
         "base_color": list(material.base_color),
         "metalness": material.metallic,
@@ -67,8 +67,8 @@ def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
     """Return the material's BRDF, f in 1/sr, shape (P, 3).
 
     Args:
-        values: all of `DEFAULTS`.
-        pairs: P of them.
+        values: values of all parameters in `DEFAULTS`.
+        pairs: P direction pairs.
     Source: Georgiev et al. 2019; layers as MaterialX 1.39 implements them.
     """
     pairs = pairs.turned(-2.0 * np.pi * values["specular_rotation"])

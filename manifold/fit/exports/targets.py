@@ -1,4 +1,4 @@
-"""A target of exports: its names, suffix, parameters, shading model and writer, made by the module of its file."""
+"""Describes export targets: name, suffix, parameters, shading model and writer of each."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ Content = Callable[[Export], bytes]
 
 
 RELIEF = ("base_colour", "normal")
-"""The textures of targets whose coats take none."""
+"""Textures of targets whose coats cannot have textures."""
 
 FLAKES = (*RELIEF, "coat", "coat_normal")
-"""The textures of targets whose coats take them, for flakes."""
+"""Textures of targets whose coats can have textures, which show flakes."""
 
 
 def uncompared(engine: str) -> str:
-    """Return the caveat of a target whose shading model is known by its published formulas only."""
+    """Return the caveat of a target whose shading model was not compared with the engine itself."""
     return (
         f"never compared with a render of {engine}: the model is that of its published formulas; "
         "--target shader writes the BRDF itself"
@@ -41,24 +41,25 @@ class Target:
     """A target of exports.
 
     Attributes:
-        name: as users say it.
-        suffix: of its files; several targets share `.json`.
-        title: in words.
+        name: name of the target for users.
+        suffix: suffix of its files; several targets share `.json`.
+        title: full name of the target.
         entries: every parameter that exports may set, by name.
-        parameters: values of all of them for a material.
-        brdf: the target's own shading model, f in 1/sr of parameters and pairs.
-        content: the file of an export.
-        base_colour: the parameter that a texture replaces.
-        coat, sheen: parameters of the coat and of the sheen, the weight first; empty where there is none.
-        film: those of the thin film, the thickness and the index last; empty where there is none.
-        curve: the base colour by the angle of view, and the one that it replaces; empty where there is none.
-        hued: colours whose hue no fit changes, since renderers disagree on what another one does.
-        textures: what its documents take of `TextureFiles`; empty where they take none.
+        parameters: function that returns the parameters for a material, from which a fit starts.
+        brdf: the target's own shading model, a function of parameters and pairs that returns f in 1/sr.
+        content: function that returns the file of an export.
+        base_colour: name of the parameter that a texture replaces.
+        coat, sheen: names of the parameters of coat and sheen, the weight first; empty if there are none.
+        film: names of the parameters of the thin film, thickness and index last; empty if there are none.
+        curve: names of the view-dependent base colour, and of the base colour that it replaces; empty if there is
+            none.
+        hued: names of colours whose hue no fit changes, because renderers treat them differently.
+        textures: fields of `TextureFiles` that its documents use; empty if they use none.
         beside: another target whose parameters its files also hold; None for most targets.
-        implementations: BRDFs by the names of programs that evaluate the parameters differently, `brdf` the first of
-            them: fits suit all. Empty if one is known.
-        colour_space: of all its colours.
-        caveat: what its files say to their users; empty for most targets.
+        implementations: BRDFs by the names of programs that implement the model differently, first `brdf`; a fit must
+            suit all. Empty if only one implementation is known.
+        colour_space: colour space of all its colours.
+        caveat: text that its files contain for users; empty for most targets.
     """
 
     name: str
@@ -87,13 +88,13 @@ class Target:
 
     @property
     def defaults(self) -> dict[str, Any]:
-        """The target's value of every parameter that is not set."""
+        """The target's default value of every parameter."""
         return defaults(self.entries)
 
 
 @dataclass(frozen=True)
 class TargetBRDF:
-    """A target's own model with values of its parameters, as a BRDF in linear sRGB; by one of its implementations."""
+    """A target's own shading model with given parameters, as a BRDF in linear sRGB."""
 
     target: Target
     values: Mapping[str, Any]
@@ -114,10 +115,10 @@ class TargetBRDF:
 
 
 def target_of(name: str | None, path: Path) -> Target:
-    """Return the target of that name, or the one of a file's suffix.
+    """Return the target with a name or, if the name is None, the target with the file's suffix.
 
     Raises:
-        UsageError: there is none, or the suffix is another's.
+        UsageError: there is no such target, or the suffix belongs to another target.
     """
     suffix = f"suffix {path.suffix!r}" if path.suffix else "no suffix"
     if name is not None:

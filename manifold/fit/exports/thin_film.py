@@ -1,8 +1,8 @@
-"""Reflectance of a thin film on a surface in linear sRGB, interference integrated over wavelengths in Fourier space.
+"""Computes the reflectance of a thin film on a surface in linear sRGB, integrated over wavelengths in Fourier space.
 
-Source: Belcour & Barla 2017, section 4, as KHR_materials_iridescence, MaterialX 1.39 and Cycles 5.0 have it. The first
-two take two orders of interference and Gaussians for the colour matching functions, Cycles three and the functions.
-MaterialX takes reflectances of red, green and blue for those of X, Y and Z, and converts the sum.
+Source: Belcour & Barla 2017, section 4, as implemented in KHR_materials_iridescence, MaterialX 1.39 and Cycles 5.0.
+The first two use two orders of interference and Gaussians as colour matching functions; Cycles uses three orders and
+the true functions. MaterialX uses the reflectances of red, green and blue for X, Y and Z, and converts the sum.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from manifold.fit.exports.lobes import artistic_index, cubic, fresnel_f82, schli
 
 Reflectance = TypeVar("Reflectance", bound=Callable[..., Array])
 Sensitivity = Callable[[Array, Array], Array]
-"""Mean RGB or XYZ (P, 3) of the cosine of a phase, by the difference of path in nm (P,) and a shift (3,) or (P, 3)."""
+"""A function of path differences in nm (P,) and phase shifts, (3,) or (P, 3), that returns mean RGB or XYZ (P, 3)."""
 
 _HEIGHT = np.array([5.4856e-13, 4.4201e-13, 5.2481e-13, 9.7470e-14])  # of Gaussians for X, Y, Z, and X again
 _WAVE_NUMBER = np.array([1.6810e6, 1.7953e6, 2.2084e6, 2.2399e6])  # 1/m
@@ -61,13 +61,13 @@ def _tabulated(reflectance: Reflectance) -> Reflectance:
 
 @_tabulated
 def film_over_f0(ior: float, thickness_nm: float, f0: Array, cosine: Array) -> Array:
-    """Return the reflectance of a film on a surface that reflects `f0` (3,) at normal incidence, shape (P, 3).
+    """Return the reflectance (P, 3) of a film on a surface that reflects `f0` at normal incidence.
 
     Args:
-        ior: of the film, at least 1; outside it is 1.
-        thickness_nm: of the film.
-        f0: of the surface without the film.
-        cosine: of the angle of incidence, shape (P,).
+        ior: refractive index of the film, at least 1; the outside has 1.
+        thickness_nm: thickness of the film.
+        f0: reflectance of the surface without the film, shape (3,).
+        cosine: cosine of the angle of incidence, shape (P,).
     Source: KHR_materials_iridescence: Schlick's term at both interfaces, no polarisation.
     """
     root = np.sqrt(np.clip(f0, 0.0, 0.9999))
@@ -87,7 +87,7 @@ def film_over_index(ior: float, thickness_nm: float, n: Array, k: Array, cosine:
 
     Args:
         ior, thickness_nm, cosine: as in `film_over_f0`.
-        n, k: of the surface, relative to the outside.
+        n, k: indices of the surface, relative to the outside, shape (3,).
     Source: MaterialX 1.39, mx_fresnel_airy: Fresnel's equations and phases of both polarisations.
     """
     inside = _refracted(cosine, ior)
@@ -101,8 +101,8 @@ def film_over_f82_materialx(ior: float, thickness_nm: float, f0: Array, edge: Ar
 
     Args:
         ior, thickness_nm, cosine: as in `film_over_f0`.
-        f0, edge: of the metal without the film, shape (3,).
-    Source: MaterialX 1.39, mx_fresnel_airy, which takes half of the metal's reflectance for each polarisation.
+        f0, edge: F82-tint colours of the metal without the film, shape (3,).
+    Source: MaterialX 1.39, mx_fresnel_airy, which assigns half of the metal's reflectance to each polarisation.
     """
     inside = _refracted(cosine, ior)
     below = 0.5 * fresnel_f82(f0, edge, inside)
@@ -119,12 +119,12 @@ def film_at_wavelengths(
     """Return the reflectance of a film at single wavelengths, shape (P, B), in [0, 1].
 
     Args:
-        wavelengths_nm: B of them.
-        outside: index of the medium above the film; beyond the critical angle to it, all light is reflected.
+        wavelengths_nm: B wavelengths.
+        outside: index of the medium above the film; beyond the critical angle, all light is reflected.
         ior, thickness_nm, cosine: as in `film_over_f0`.
-        n, k: of the surface, (B,).
-    Source: Born & Wolf, section 7.6, both polarisations, all orders; OpenPBR 1.1, "Thin-film iridescence", which takes
-    indices of metals by Gulbrandsen 2014.
+        n, k: indices of the surface, shape (B,).
+    Source: Born & Wolf, section 7.6, both polarisations, all orders; OpenPBR 1.1, "Thin-film iridescence", which
+    takes indices of metals by Gulbrandsen 2014.
     """
     across = (outside * np.sqrt(1.0 - cosine**2))[:, None]  # index times sine, the same in all media
     above, film = np.maximum(outside * cosine, 1e-9)[:, None], np.emath.sqrt(ior**2 - across**2)
@@ -149,7 +149,7 @@ def film_over_index_cycles(ior: float, thickness_nm: float, n: float, cosine: Ar
 
     Args:
         ior, thickness_nm, cosine: as in `film_over_f0`.
-        n: of the dielectric, relative to the outside.
+        n: index of the dielectric, relative to the outside.
     Source: Cycles 5.0, bsdf_util.h.
     """
     index, none = np.full(3, n), np.zeros(3)
@@ -164,7 +164,7 @@ def film_over_f82(ior: float, thickness_nm: float, f0: Array, edge: Array, cosin
 
     Args:
         ior, thickness_nm, cosine: as in `film_over_f0`.
-        f0, edge: of the metal without the film, shape (3,).
+        f0, edge: F82-tint colours of the metal without the film, shape (3,).
     Source: Cycles 5.0: the reflectance of the metal below the film by F82, the phases by indices (Gulbrandsen 2014).
     """
     at = np.full(1, 1.0 / 7.0)

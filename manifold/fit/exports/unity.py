@@ -1,4 +1,4 @@
-"""Unity, High Definition pipeline: properties of the Lit shader, with their conventions, and its BRDF."""
+"""Unity's High Definition pipeline: properties of the Lit shader, their conventions, and its BRDF."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PARAMETERS = {
     "tangent_deg": Parameter(0.0),
     "_CoatMask": Parameter(0.0, is_free=True),
 }
-"""Every property that exports may set, and the angle of the tangent."""
+"""Every property that exports may set, including the angle of the tangent."""
 
 DEFAULTS = defaults(PARAMETERS)
 
@@ -46,7 +46,9 @@ CONVENTIONS: dict[str, str] = {
 def settings(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the shader, its material type, and the keywords without which coat and anisotropy have no effect.
 
-    Source: `Lit.shader` of HDRP 14; its inspector sets keywords by the properties, scripts set them themselves.
+    Unity's inspector sets the keywords from the properties; scripts must set them explicitly.
+
+    Source: `Lit.shader` of HDRP 14.
     """
     features = {"ANISOTROPY": values["_Anisotropy"], "CLEAR_COAT": values["_CoatMask"]}
     return {
@@ -61,7 +63,7 @@ _COAT_ALPHA, _F0 = 0.01, 0.04
 
 
 def parameters(material: PrincipledValues) -> dict[str, Any]:
-    """Return the properties of a material, all of `DEFAULTS`; reflectance at normal incidence is Unity's 0.04."""
+    """Return all properties in `DEFAULTS` for a material; the reflectance at normal incidence is Unity's 0.04."""
     roughness, anisotropy = material.around_mean
     coat = material.coat_weight if material.coat_alpha <= _SMOOTH_COAT else 0.0
     return DEFAULTS | {
@@ -78,10 +80,10 @@ def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
     """Return the material's BRDF for lights without extent, f in 1/sr, shape (P, 3).
 
     Args:
-        values: all of `DEFAULTS`.
-        pairs: P of them.
-    Source: Lit.hlsl, CommonMaterial.hlsl and BSDF.hlsl of HDRP 14: Burley's diffuse term over 1.03571, GGX, Schlick;
-    light scattered between facets as Turquin 2019 has it.
+        values: values of all properties in `DEFAULTS`.
+        pairs: P direction pairs.
+    Source: Lit.hlsl, CommonMaterial.hlsl and BSDF.hlsl of HDRP 14: Burley's diffuse term over 1.03571, GGX, Schlick,
+    and multiple scattering between facets after Turquin 2019.
     """
     pairs = pairs.turned(np.deg2rad(values["tangent_deg"]))
     base, m, coat = decode_srgb(np.asarray(values["_BaseColor"])), values["_Metallic"], values["_CoatMask"]

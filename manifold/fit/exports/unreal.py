@@ -1,4 +1,4 @@
-"""Unreal Engine 5: inputs of the Default Lit and Clear Coat shading models, with their conventions."""
+"""Unreal Engine 5: inputs of the shading models Default Lit and Clear Coat, their conventions, and their BRDFs."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PARAMETERS = {
     "ClearCoatRoughness": Parameter(0.1, is_free=True, low=0.02),
     "BaseColorCurve": Parameter([]),
 }
-"""Every input that exports may set, with the value that an unconnected one has."""
+"""Every input that exports may set, with the value of an unconnected input."""
 
 DEFAULTS = defaults(PARAMETERS)
 
@@ -49,12 +49,12 @@ CONVENTIONS: dict[str, str] = {
 
 
 def shading_model(values: Mapping[str, Any]) -> str:
-    """Name of the shading model that takes all of the values."""
+    """Return the name of the shading model that uses all of the values."""
     return "Clear Coat" if values["ClearCoat"] > 0.0 else "Default Lit"
 
 
 def parameters(material: PrincipledValues) -> dict[str, Any]:
-    """Return the inputs of a material, all of `DEFAULTS`; sheen and tints have no counterpart."""
+    """Return all inputs in `DEFAULTS` for a material; sheen and tints have no counterpart."""
     roughness, anisotropy = material.around_mean
     return (
         DEFAULTS
@@ -74,9 +74,12 @@ def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
     """Return the material's BRDF, f in 1/sr, shape (P, 3).
 
     Args:
-        values: all of `DEFAULTS`.
-        pairs: P of them.
-    Source: Karis 2013 (Lambert, GGX, Schlick); the coat attenuates what is below by its Fresnel term, both ways.
+        values: values of all inputs in `DEFAULTS`.
+        pairs: P direction pairs.
+
+    The coat attenuates the layers below by its Fresnel term, on the way in and on the way out.
+
+    Source: Karis 2013 (Lambert, GGX, Schlick).
     """
     pairs = pairs.turned(np.deg2rad(values["Tangent"]))
     base, m = _base(values, pairs.cos_v), values["Metallic"]

@@ -1,4 +1,4 @@
-"""USD layers (`.usda`) of a ball and a plane whose material is UsdPreviewSurface, with or without OpenPBR beside it."""
+"""Writes USD layers (`.usda`) of a sphere and a plane with a UsdPreviewSurface, and optionally OpenPBR, material."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ OPENPBR_ID = "ND_open_pbr_surface_surfaceshader"
 
 
 def usda(export: Export) -> str:
-    """Return the layer: y up, in metres.
+    """Return the text of the layer, with y up and lengths in metres.
 
     `outputs:surface` is for previews, and `outputs:mtlx:surface` for MaterialX renderers.
 
     Args:
-        export: with the parameters of UsdPreviewSurface, and those of OpenPBR `beside`; None leaves that surface out,
-            which checkers without USD's plugin for MaterialX do not know.
+        export: the material, with the parameters of UsdPreviewSurface and, in `beside`, of OpenPBR; a `beside` of
+            None leaves OpenPBR out, for checkers without USD's plugin for MaterialX.
     """
     output = second = placed = nodes = ""
     name = identifier(export.name)

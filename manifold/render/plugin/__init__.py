@@ -1,1 +1,1 @@
-"""The Mitsuba BSDF `manifold`: predictions on Dr.Jit arrays, straight from the measured files."""
+"""The Mitsuba BSDF `manifold`, which evaluates predictions on Dr.Jit arrays from the measured files."""

@@ -4,29 +4,29 @@ Scenes name it after `import manifold.mitsuba`, in LLVM variants (scalar ones wo
 
     {"type": "manifold", "model": "model.h5", "latent": "-0.3,1.2"}
 
-Every evaluation loops over the materials, inverts each one's warp, and sums `T^-1(sum_i v_i T(f_i))`; densities come
-along, since sampling draws from a mixture of the materials' own warps with shares |v_i|. What `Manifold.predict`
-gives in float64 is what this gives in float32; negative values are cut, as in written files, but at a material's own
-latent they are kept, as in Mitsuba's `measured`. At a wavelength, f_i
-is that of the nearest band where bands are at most 5 nm apart, and linear between them where they are not.
+Every evaluation loops over the materials, inverts each one's warp, and sums `T^-1(sum_i v_i T(f_i))`. It also
+computes the density, because sampling draws from a mixture of the materials' own warps with shares |v_i|. The values
+equal those of `Manifold.predict`, but in float32. Negative values are set to 0, as in written files, except at a
+material's own latent, as in Mitsuba's `measured`. At a wavelength, f_i is the value of the nearest band if bands are
+at most 5 nm apart, and otherwise interpolated linearly.
 
 Properties:
     model: path of the model.
-    library: where its library is, if it has moved.
-    latent: coordinates with commas between, a point, an array of Dr.Jit, or the name of a material that lies there, or
-    latent_0, latent_1, ...: textures of the coordinates: one surface, a continuous field of materials.
-    like, reflectance, srgb: the colour, as in `manifold predict`.
+    library: path of the model's library, if it was moved.
+    latent: coordinates separated by commas, a point, a Dr.Jit array, or the name of a material; or
+    latent_0, latent_1, ...: textures of the coordinates, which let materials vary over a surface.
+    like, reflectance, srgb: given colour, as in `manifold predict`.
     tolerance: skip materials as long as the mapped values change by no more than this fraction of their norm; the
         weights of the others are refitted. The default of 0 keeps all.
 
 Parameters of `mi.traverse`, all differentiable:
-    latent: its Q coordinates; where it moves, chosen colours keep their coordinates.
-    colours: coordinates of a chosen colour, one per band; on a map of blends, cube roots of reflectances at 8 degrees.
+    latent: the Q coordinates; if they change, given colours keep their colour coordinates.
+    colours: coordinates of a given colour, one per band; on a map of blends, cube roots of reflectances at 8 degrees.
     latent_0.data, latent_1.data, ...: texels of the textures.
 
-Only the weights have derivatives; samples and their densities do not depend on parameters. The derivative is 0
-where a negative value is clipped, a weight is 0, or the latent is that of a library material. Derivatives by
-directions are refused.
+Only the weights have derivatives; samples and their densities have none. The derivative is 0 if a negative value is
+clipped, if a weight is 0, or at the latent of a library material. Derivatives with respect to directions raise an
+error.
 """
 
 # Models and what evaluates them are imported where they are used: the plugin is registered for every render.
@@ -75,7 +75,7 @@ def _refuse(properties: Any) -> Any:
 
 def _refuse_mono(properties: Any) -> Any:
     raise UsageError(
-        "the plugin `manifold` needs an RGB or spectral variant of Mitsuba: a mono one has a single channel; set "
+        "the plugin `manifold` needs an RGB or spectral variant of Mitsuba: mono variants have a single channel; set "
         "llvm_ad_rgb for RGB materials, llvm_ad_spectral for spectral ones"
     )
 
@@ -198,7 +198,7 @@ def _read_latent(mi: Any, properties: Any, model: Manifold) -> tuple[list[Any], 
 
 
 def place_of(model: Manifold, latent: str) -> Place:
-    """Return the place of coordinates or a material; a step of a walk, which no latent makes, is an error."""
+    """Return the place that coordinates or a material's name denote. Raises UsageError for a step of a walk."""
     if latent not in model.names and parse_coordinates(latent) is None:
         if (walk := parse_walk(latent, model.names)) is None:
             raise UnknownNameError(

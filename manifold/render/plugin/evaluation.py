@@ -1,4 +1,4 @@
-"""Evaluation and sampling of the plugin `manifold`: sums over packed materials on Dr.Jit arrays."""
+"""Evaluates and samples the plugin `manifold` by sums over packed materials on Dr.Jit arrays."""
 
 from __future__ import annotations
 
@@ -230,9 +230,9 @@ class Evaluation:
     # -- weights -------------------------------------------------------------------------------------------
 
     def set_weights(self, mixture: Mixture, latent: Any = None, colours: Any = None) -> None:
-        """Take the weights of a mixture of the same materials.
+        """Set the weights to those of a mixture of the same materials.
 
-        Slopes by latent (Q,) and chosen colours (B,) are kept if derivatives pass through the weights.
+        If derivatives pass through the weights, their slopes by the latent (Q,) and the given colours (B,) are kept.
         """
         mi, dr = self._mi, self._dr
         self._lobe_ends = mi.Float(np.cumsum(mixture.lobes).astype(np.float32))
@@ -352,14 +352,13 @@ class Evaluation:
     ) -> tuple[Any, Any]:
         """Return f * cos(theta_o) as a spectrum and the density of `sample`, both in 1/sr.
 
-        The former has derivatives by the latent.
+        The value has derivatives with respect to the latent.
         """
         mi, dr = self._mi, self._dr
         if dr.grad_enabled(wi, wo):
             raise UsageError(
                 "plugin manifold: derivatives with respect to directions (moved shapes, lights or cameras) are not "
-                "known; keep "
-                "these fixed"
+                "supported; keep these fixed"
             )
         cos_o = mi.Frame3f.cos_theta(wo)
         cosines = cos_o * mi.Frame3f.cos_theta(wi)

@@ -1,4 +1,4 @@
-"""The mixture that the plugin evaluates: materials as packed tables, and their weights."""
+"""The mixture that the plugin evaluates: materials and their weights."""
 
 from __future__ import annotations
 
@@ -32,20 +32,20 @@ class Mixture:
     """A weighted sum of N materials under a mapping.
 
     Attributes:
-        mapping: T.
-        bands: of the prediction.
-        weights: of whole materials, (N,); of single bands, (B, N, B_s); None where the latent varies.
-        lobes: shares of the materials in sampling, (N,), positive, of sum 1.
+        mapping: the mapping T.
+        bands: bands of the prediction.
+        weights: weights of whole materials, (N,), or of single bands, (B, N, B_s); None if the latent varies.
+        lobes: shares of the materials in sampling, (N,), which are positive and sum to 1.
         gp: the Gaussian process that turns varying latents into weights.
         order: index of each material in the model, (N,); empty for a measured file, whose unmeasured cells are
             kept.
         slopes: derivatives of the weights by the latent's coordinates and by the colour of a band; empty if not
             needed.
-        is_blend: whether varying weights are those of `blend_weights` instead of the process's.
-        is_clipped: whether negative values become 0, as in predicted files; a measured file keeps them, as colours
-            outside sRGB.
+        is_blend: whether varying weights come from `blend_weights` instead of the Gaussian process.
+        is_clipped: whether negative values become 0, as in predicted files; a measured file keeps them, because they
+            are colours outside sRGB.
         left_out: number of materials that were skipped.
-        left_out_error: the relative change of the mapped values by skipping them.
+        left_out_error: relative change of the mapped values by skipping them.
     """
 
     names: tuple[str, ...]
@@ -69,11 +69,11 @@ class Mixture:
 
 @dataclass(frozen=True, eq=False)
 class FixedLatent:
-    """One latent and its colours, in double precision; Mitsuba has them in single precision.
+    """One latent and its colours in double precision, which Mitsuba holds in single precision.
 
     Attributes:
-        latent: shape (Q,).
-        colours: coordinates of a chosen colour, (B,); None where the latent carries it.
+        latent: latent, shape (Q,).
+        colours: colour coordinates of a given colour, (B,); None without one.
         tolerance: allowed relative change by skipping materials; see `leave_out`.
     """
 
@@ -86,13 +86,13 @@ class FixedLatent:
     def of(
         cls, model: Manifold, place: Place, colour: ColourChoice = NEAREST, tolerance: float = 0.0
     ) -> FixedLatent:
-        """Return the latent of a place, in a colour that is chosen there."""
+        """Return the latent of a place, with a given colour."""
         return cls(model, place.latent, model.choose_colour(place, colour).colours, tolerance)
 
     def moved(self, latent: AnyArray, colours: AnyArray | None) -> FixedLatent:
-        """Return another latent (Q,), and other colours (B,), float32.
+        """Return a changed latent (Q,) and changed colours (B,), given as float32.
 
-        Values that round to a material's latent, or to the former values, are taken for these.
+        Values that equal a material's latent or the former values after rounding are replaced by these.
         """
         known = (self.latent, *self.model.X)
         exact = next((x for x in known if np.array_equal(np.float32(x), latent)), latent)
@@ -101,9 +101,9 @@ class FixedLatent:
         return replace(self, latent=self.model.place(exact.tolist()).latent, colours=colours)
 
     def mixture(self, before: Mixture | None = None, *, has_slopes: bool = False) -> Mixture:
-        """Return the prediction, or at a training latent the measured material.
+        """Return the mixture of the prediction or, at the latent of a material, of this material only.
 
-        Tables of a mixture `before`, of the same model, are reused if they hold all the materials.
+        The materials of a mixture `before` of the same model are reused if they include all that are needed.
         """
         model, x, colours = self.model, self.latent, self.colours
         combination = model.combination(x, colours)
@@ -156,12 +156,12 @@ def _slopes(model: Manifold, x: Array, colours: Array | None) -> list[Array]:
 
 
 def varying_mixture(model: Manifold) -> Mixture:
-    """Return a mixture of all materials, for latents that are known only where a surface is hit."""
+    """Return a mixture of all materials, for latents that vary over a surface."""
     n = len(model.names)
     if model.space.landmarks is not None:
         raise UsageError(
-            f"textures of latents on a map of {model.space.materials_in_words}, expected all to be laid out: they keep "
-            "all in memory; embed fewer"
+            f"textures of latents on a map of {model.space.materials_in_words}, expected a map without landmarks, "
+            "because all materials are kept in memory; embed fewer"
         )
     bands, seen = _seen_bands(model.bands)
     order, tables = _tables(model, range(n), seen)
@@ -184,9 +184,9 @@ def leave_out(weights: Array, S: Array | None, tolerance: float) -> tuple[Indice
 
     The error is relative to the norm of the mapped values; a tolerance of 0 keeps all materials.
 
-    The new weights u of the kept ones minimise `(u - v)^T S (u - v)`, the squared distance of the mapped values, by
-    their Gram matrix S (N, N). Materials go one by one, that first whose loss raises it least: of weight u_k, by `u_k^2
-    / [S_kept^-1]_kk`.
+    The new weights u of the kept materials minimise `(u - v)^T S (u - v)`, the squared distance of the mapped values,
+    with their Gram matrix S (N, N). Materials are removed one by one; each time the material k is removed that
+    increases this distance least, by `u_k^2 / [S_kept^-1]_kk`.
     """
     if not 0.0 <= tolerance < 1.0:
         raise UsageError(f"tolerance is {tolerance:g}, expected a share from 0 to below 1, such as 0.01")

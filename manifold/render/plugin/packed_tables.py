@@ -1,7 +1,7 @@
-"""Measured materials as flat tables, from which vectorised evaluations gather packets.
+"""Stores measured materials as flat tables from which vectorised evaluations gather packets.
 
-All data of a look-up lie side by side: the four corners of a grid cell and, for warps, their cumulative sums. Every
-value is stored four times, but a few wide reads replace many scattered ones, which would dominate the cost.
+All data of a look-up are adjacent: the four corners of a grid cell and, for warps, their cumulative sums. Every value
+is stored four times, but a few wide reads replace many scattered reads, which would dominate the cost.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from manifold.core.errors import UsageError
 from manifold.core.records import AnyArray, Array, BsdfFile
 
 WARP_VALUES = 8
-"""Values per cell of a warp: density at four corners, sums before the cell in both rows, sums of both rows.
+"""Number of values per cell of a warp: densities at four corners, sums before the cell in both rows, sums of both rows.
 
-A packet holds those of one elevation, then those of the next: 64 bytes."""
+A packet of 64 bytes holds these values for one elevation, then for the next."""
 
 MOST_BANDS_AT_ONCE = 8
-"""Bands up to which all of a cell are read together; more are read as wavelengths ask for them."""
+"""Largest number of bands that are read together; of more bands, only those of the needed wavelengths are read."""
 
 SPECTRUM_PACKET = 8
-"""Values per cell and band of spectra: four corners at one elevation, then at the next."""
+"""Number of values per cell and band of spectra: four corners at one elevation, then at the next."""
 
 META = 32
-"""Integers per material, a power of two so that they are read at once; see `PackedTables.meta`."""
+"""Number of integers per material, a power of two so that they are read at once; see `PackedTables.meta`."""
 
 ISOTROPIC = 0
-"""The symmetry of materials whose half vectors are counted from the incident azimuth."""
+"""Value of the symmetry for isotropic materials, whose half vectors are relative to the incident azimuth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,22 +39,22 @@ class PackedTables:
     """N materials, one after the other in flat arrays.
 
     Attributes:
-        meta: where the parts of each material begin and how large they are, uint32, shape (N * META,): vndf cell,
-            its marginal, its rows, columns; luminance cell, its marginal, its rows, columns; ndf cell, rows,
-            columns; sigma cell, rows, columns; spectra cell; elevations and azimuths of incidence; `ISOTROPIC`, or
-            how often azimuths repeat in a turn; the bits of the azimuth by which the sample lay turned, a float32.
+        meta: start and size of the parts of each material, uint32, shape (N * META,): vndf cell, its marginal, rows
+            and columns; luminance cell, its marginal, rows and columns; ndf cell, rows and columns; sigma cell, rows
+            and columns; spectra cell; numbers of elevations and azimuths of incidence; `ISOTROPIC`, or how often
+            azimuths repeat in a turn; and the bits, as float32, of the azimuth by which the specimen was turned.
         theta_nodes: angles of incidence in radians, padded by repeating the last, float32, shape (N * T,).
-        n_theta: T, the most that any material has.
-        phi_nodes: incident azimuths in radians, likewise, float32, shape (N * P,).
-        n_phi: P, the most that any material has.
+        n_theta: T, the largest number of angles of incidence of a material.
+        phi_nodes: incident azimuths in radians, padded in the same way, float32, shape (N * P,).
+        n_phi: P, the largest number of incident azimuths of a material.
         warps: cells of vndf and luminance per azimuth and two neighbouring elevations, float32, shape (cells * 16,).
-        marginals: their cumulative sums of rows, float32.
-        grids: ndf and sigma cells, four corners each, float32, shape (cells * 4,).
-        spectra: per azimuth, two neighbouring elevations, cell and band the four corners at both, shape
-            (pairs * cells * bands * 8,): float32 for few bands, float16 for many, where memory is what takes time.
-            Halves are scaled by a power of two, which `ndf` takes back.
-        n_bands: bands per cell in `spectra`, padded with zeros.
-        most_nodes: of a warp's axis.
+        marginals: cumulative sums of the rows of these warps, float32.
+        grids: cells of ndf and sigma, four corners each, float32, shape (cells * 4,).
+        spectra: for each azimuth, pair of neighbouring elevations, cell and band, the four corners at both
+            elevations, shape (pairs * cells * bands * 8,). They are float32 for few bands and float16 for many, for
+            which memory traffic dominates; float16 values are scaled by a power of two, and `ndf` by its inverse.
+        n_bands: number of bands per cell in `spectra`, padded with zeros.
+        most_nodes: largest number of nodes along an axis of a warp.
     """
 
     meta: NDArray[np.uint32]
@@ -71,7 +71,7 @@ class PackedTables:
 
     @property
     def bytes(self) -> int:
-        """Memory that the tables take."""
+        """Size of the tables in bytes."""
         arrays = (
             self.meta, self.theta_nodes, self.phi_nodes, self.warps, self.marginals, self.grids, self.spectra,
         )  # fmt: skip
@@ -79,7 +79,7 @@ class PackedTables:
 
 
 def pack(files: Sequence[BsdfFile], bands: Sequence[int] | None = None) -> PackedTables:
-    """Lay out N materials of the same bands, of which some may be chosen by their indices."""
+    """Pack N materials with the same bands; `bands` selects some of the bands by index."""
     kept = list(range(files[0].bands.count)) if bands is None else list(bands)
     n_bands = len(kept) if len(kept) > MOST_BANDS_AT_ONCE else int(2 ** np.ceil(np.log2(len(kept))))
     n_theta, n_phi = (
@@ -158,7 +158,9 @@ class _Store:
         joined = np.concatenate(self._blocks)
         self._blocks.clear()
         if joined.size > np.iinfo(np.uint32).max:
-            raise UsageError("too many materials for 32-bit indices; leave out those of small weight")
+            raise UsageError(
+                "too many materials for 32-bit indices; raise the tolerance to leave out small weights"
+            )
         return joined
 
 

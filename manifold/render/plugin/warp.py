@@ -1,6 +1,6 @@
-"""The warps of `manifold.brdf.warp` on Dr.Jit arrays: density, inverse and sampling of packed tables.
+"""Evaluates, inverts and samples the warps of `manifold.brdf.warp` in packed tables, on Dr.Jit arrays.
 
-Functions take the modules of the variant that is set; arrays have one entry per lane.
+Functions take the modules `mi` and `dr` of the current variant; arrays have one entry per lane.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ class Family:
 
 @dataclass(frozen=True, eq=False)
 class Slices:
-    """The densities around an incident direction, per lane: at one azimuth or two, those of two elevations.
+    """The densities around an incident direction, for each lane: two elevations at one or two azimuths.
 
     Attributes:
-        at: per azimuth the index of the packet of both elevations, and the indices of the two.
+        at: for each azimuth, the index of the packet of both elevations, and the two indices of the elevations.
         t: weight of the second elevation.
         s: weight of the second azimuth.
     """
@@ -130,7 +130,7 @@ class PackedWarps:
         return value * mi.Float((family.rows - 1) * (family.columns - 1))
 
     def sample(self, family: Family, slices: Slices, u: Any, v: Any, active: Any) -> tuple[Any, Any]:
-        """Return the point (x, y) of uniform variates (u, v)."""
+        """Return the point (x, y) to which uniform variates (u, v) are mapped."""
         dr, mi = self._dr, self._mi
         u, v = dr.clip(u, 1e-7, 1.0 - 1e-7), dr.clip(v, 1e-7, 1.0 - 1e-7)
         i = self._below(family.rows, v, lambda m: self._marginal(family, slices, m, active))

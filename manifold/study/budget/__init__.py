@@ -1,1 +1,1 @@
-"""`manifold budget`: the cheapest representation of each material that preserves a scene's image."""
+"""Implements `manifold budget`, which finds the cheapest representation of each material that preserves a picture."""

@@ -1,4 +1,4 @@
-"""A budget as one figure: both renders of the scene, and the cost of every representation."""
+"""Draws a budget: both renderings of the scene, and the cost of every representation."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ _UNITS = ((1e6, "MB"), (1e3, "kB"), (1.0, "B"))
 def budget_figure(
     whole: Array, chosen: Array, delta_e: Array, materials: Sequence[Mapping[str, Any]], tolerance: float
 ) -> Figure:
-    """Draw renders (H, W, 3) of the scene with the whole and the chosen files, and their CIEDE2000 (H, W).
+    """Draw renderings (H, W, 3) of the scene with the whole and the chosen files, and their CIEDE2000 (H, W).
 
-    Below, one row per material has the costs of its representations, from plain values of `Chosen`, and the
+    One row per material below shows the costs of its representations, from the plain values of `Chosen`, and the
     tolerance in CIEDE2000.
     """
     height = 8.6 / 3.0 * delta_e.shape[0] / delta_e.shape[1]

@@ -1,4 +1,4 @@
-"""The command `manifold budget`: it analyses a scene and writes the chosen files."""
+"""Analyses a scene for `manifold budget`, and writes the chosen files."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class BudgetSettings:
     Attributes:
         size: size of the longer side in pixels.
         samples: light paths per pixel.
-        seed: of the noise.
+        seed: seed of the noise.
     """
 
     size: int = 128
@@ -66,15 +66,15 @@ class Chosen:
 
     Attributes:
         representation: name of the chosen candidate.
-        reason: why no cheaper one was chosen.
+        reason: why no cheaper representation was chosen.
         lighting: the directions and the light in which the scene shows the material.
         size, full_size: bytes of the chosen representation and of the whole file.
-        numbers: count of numbers that describe the chosen representation; None for files.
+        numbers: number of parameters of the chosen representation; None for files.
         milliseconds: time of a million evaluations.
         predicted: predicted CIEDE2000 of the chosen representation.
-        verified: difference of the renders in which all materials are exchanged.
-        noise: difference of two renders of the reference with different seeds.
-        asset: the written file.
+        verified: difference of the renderings in which all materials are replaced.
+        noise: difference of two renderings of the reference with different seeds.
+        asset: path of the written file.
         bsdf: Mitsuba's dictionary of the chosen representation, without the name of a file that was not written.
         candidates: all candidates, cheapest first.
     """
@@ -96,7 +96,7 @@ class Chosen:
 
 
 class Unseen(NamedTuple):
-    """A material that no pixel shows; it stays unchanged."""
+    """A material that no pixel shows, which stays unchanged."""
 
     material: str
     bytes: int
@@ -130,7 +130,7 @@ def example(
     name: str, tolerance: Tolerance = _TOLERANCE, settings: BudgetSettings = _SETTINGS,
     output: Path | None = None, picture: Path | None = None,
 ) -> Budget:  # fmt: skip
-    """Return budget one of the package's own scenes."""
+    """Return the budget of one of the package's own scenes."""
     with TemporaryDirectory() as temporary:
         folder = Path(temporary)
         scene = example_scenes.write(name, folder)
@@ -147,9 +147,9 @@ def budget_scene(
 ) -> Budget:
     """Find the cheapest representation of each measured material of a scene that keeps its picture.
 
-    The scene is an XML or JSON file, or a dictionary of Mitsuba made of plain values. The chosen files and a scene that
-    uses them are written to the folder `output`, made if missing; `picture` shows both renders, and what every
-    representation costs.
+    The scene is an XML or JSON file, or a dictionary of Mitsuba made of plain values. The chosen files and a scene
+    that uses them are written to the folder `output`, which is created if missing; `picture` shows both renderings
+    and the cost of every representation.
     """
     document = SceneDocument.read(scene)
     if picture is not None:
@@ -239,7 +239,9 @@ def _measured_file(material: SceneMaterial, folder: Path) -> Path:
     if material.kind == "measured":
         path = Path(properties.get("filename", ""))
         if not path.is_file():
-            raise MissingFileError(f"{path}: no such file; a BSDF of the type measured in the scene names it")
+            raise MissingFileError(
+                f"{path}: no such file; correct the file name of the BSDF of type measured in the scene"
+            )
         return path
     if "model" not in properties or "latent" not in properties:
         raise UsageError("a manifold BSDF in the scene has no model or no latent; give both")
@@ -270,7 +272,7 @@ def _common_kind(files: Mapping[str, Path]) -> bool:
     kinds = {path: read_bsdf(path).bands.is_rgb for path in files.values()}
     if len(set(kinds.values())) > 1:
         rgb = next(path for path, is_rgb in kinds.items() if is_rgb)
-        raise UsageError(f"{rgb}: an RGB file in a scene with spectral ones; use the _spec files throughout")
+        raise UsageError(f"{rgb}: an RGB file in a scene with spectral files; use only _spec files")
     return next(iter(kinds.values()))
 
 

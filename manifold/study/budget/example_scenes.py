@@ -1,4 +1,4 @@
-"""Three scenes to budget, each a ball of a corpus material on a grey floor under one kind of light."""
+"""Three example scenes, each with a ball of a corpus material on a grey floor under one kind of light."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ class Example:
     """A scene of the package.
 
     Attributes:
-        material: of the corpus.
+        material: name of the material in the corpus.
         illuminant: CIE name of the light.
-        dome: radiance of the surroundings, where the lamps have 1.
-        lamps: centre, then half the width, of squares that face the ball; lengths are in radii of the ball.
+        dome: radiance of the surroundings, relative to the lamps.
+        lamps: centre and half width of each lamp, a square that faces the ball; lengths are in radii of the ball.
     """
 
     material: str
@@ -68,7 +68,7 @@ _LAMP = """  <shape type="rectangle">
 
 
 def write(name: str, folder: Path) -> Path:
-    """Write one of `EXAMPLES` as `NAME.xml` with its measured file beside it; the path of the scene."""
+    """Write one of `EXAMPLES` as `NAME.xml` with its measured file beside it; return the path of the scene."""
     example = EXAMPLES[name]
     material = next(m for m in corpus.isotropic_materials() if m.name == example.material)
     scene = folder / f"{name}.xml"

@@ -1,4 +1,4 @@
-"""Measured files reduced to fewer bands or angles, which suit the light and views of a scene."""
+"""Reduces measured files to fewer bands or angles, chosen for the light and views of a scene."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _COLOUR_WEIGHT = 30.0  # weight of colours against spectra, in standard deviatio
 def band_nodes(bands: Bands, light: Array, count: int) -> Array:
     """Return the increasing wavelengths in nm, (count,), at which a few bands represent spectra best.
 
-    Half of them follow the light, spectral power (L,) in its bands, as the observer sees it; half are spread
-    over the visible range.
+    Half of them are placed by the light's spectral power (L,) times the observer's sensitivity; half are spread over
+    the visible range.
     """
     seen = _sensed(bands, light).sum(axis=1)
     even = ((_SEEN_NM >= 400.0) & (_SEEN_NM <= 700.0)).astype(float)
@@ -120,8 +120,9 @@ def _resampled(values: Array, n: int) -> Array:
 def kept_elevations(file: BsdfFile, theta_rad: Array, count: int) -> Array:
     """Return increasing indices (count,) of the angles of incidence that a scene needs most.
 
-    The scene has elevations (M,). Nodes are removed one by one: each time the node that its neighbours interpolate
-    best, weighted by how often elevations near it occur. The first and the last node stay.
+    `theta_rad` (M,) are the elevations that occur in the scene. Nodes are removed one by one: each time the node that
+    its neighbours interpolate best, weighted by the frequency of elevations near it. The first and the last node
+    stay.
     """
     nodes = np.asarray(file.theta_i_rad, dtype=float)
     mean = file.spectra.mean(axis=(0, 2))  # (T, H, W)

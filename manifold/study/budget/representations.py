@@ -1,4 +1,4 @@
-"""Candidate representations of a measured material, from a handful of numbers to the whole file, and their cost."""
+"""Lists representations of a measured material, from a few parameters to the whole file, and measures their cost."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from manifold.study.budget.scene_survey import MaterialLighting, Survey
 
 BANDS = (3, 5, 9, 17, 33)
 ANGLES = ((16, 4, 32), (24, 6, 48), (32, 8, 64))
-"""Coarser directions: nodes of the outgoing grid, angles of incidence, nodes of the visible normals; per axis."""
+"""Coarser grids: nodes per axis of the outgoing grid, angles of incidence, nodes per axis of visible normals."""
 FULL = "the whole file"
 
 _FLOAT_BYTES = 4
@@ -38,14 +38,14 @@ _ELSEWHERE = 0.05  # weight of directions that the pre-pass does not see
 
 @dataclass(frozen=True, eq=False)
 class Representation:
-    """A representation of a material: a BSDF with a few numbers, or a file.
+    """A representation of a material: a BSDF with a few parameters, or a file.
 
     Attributes:
-        size: size in bytes of the numbers in single precision, or of the file.
+        size: size in bytes of the parameters in single precision, or of the file.
         bsdf: Mitsuba's dictionary, in the kind of colour of the scene.
         predicted: predicted mean CIEDE2000 in direct light.
-        path: the file; None if the numbers are in `bsdf`.
-        numbers: count of the numbers, if there is no file.
+        path: path of the file; None if the parameters are in `bsdf`.
+        numbers: number of parameters, if there is no file.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Mitsuba scenes whose measured materials and film are exchanged.
+"""Reads Mitsuba scenes, and replaces their measured materials and film.
 
 A scene is an XML file, or a dictionary of plain values as `mi.load_dict` takes it (in files: JSON), where `to_world`
 may be a matrix of four rows. Its materials are the BSDFs of the types `measured` and `manifold`, at any depth and
@@ -48,7 +48,7 @@ class SceneMaterial:
 
 
 class SceneDocument:
-    """A parsed Mitsuba scene, whose plugins are not loaded yet, and its measured materials, each once."""
+    """A parsed Mitsuba scene whose plugins are not loaded yet, with its measured materials, each listed once."""
 
     def __init__(self, state: Any, origin: str) -> None:
         """Take Mitsuba's `ParserState`; see `read`."""

@@ -1,9 +1,9 @@
-"""Pre-pass of a scene: pixels, viewing and incident directions, and illumination of its measured materials.
+"""Surveys a scene: the pixels, directions and illumination of its measured materials.
 
-A pre-pass of primary rays and direct light in Mitsuba's scalar variants, which pick up single rays faster than any
-kernel compiles. It ignores materials that are only visible in mirrors or through glass, and indirect light; the
-verifying renders include them. A surface with several materials, as in a blend, counts for each of them as if it
-were the only one; the verifying renders also include the shares.
+The survey traces primary rays and direct light in Mitsuba's scalar variants, which is faster than compiling a kernel.
+It ignores indirect light, and materials that are only visible in mirrors or through glass. A surface that blends
+several materials is counted for each of them as if it were the only one. The verifying renderings include all of
+this.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ class MaterialLighting:
     """Light and view of one material in a scene, at P pixels with `LIGHT_SAMPLES` directions of light each.
 
     Attributes:
-        mask: pixels that show it, bool, shape (height, width).
-        wi: towards the camera, unit vectors in the local frame, shape (M, 3), M = P * LIGHT_SAMPLES.
-        wo: towards the light, shape (M, 3).
-        light: radiance over density of direct light in each of the bands, shape (M, L); 0 where it is hidden.
+        mask: mask of the pixels that show the material, bool, shape (height, width).
+        wi: unit vectors towards the camera in the local frame, shape (M, 3), with M = P * LIGHT_SAMPLES.
+        wo: unit vectors towards the light in the local frame, shape (M, 3).
+        light: radiance over density of direct light in each band, shape (M, L); 0 if the light is hidden.
         bands: L wavelengths, or linear sRGB.
     """
 
@@ -57,11 +57,11 @@ class MaterialLighting:
 
     @property
     def lit(self) -> Array:
-        """Samples with both directions above the surface and with light, bool, shape (M,)."""
+        """Mask (M,) of the samples with both directions above the surface and with light."""
         return (self.wi[:, 2] > 0.0) & (self.wo[:, 2] > 0.0) & np.any(self.light > 0.0, axis=1)
 
     def angles_deg(self, directions: Array) -> tuple[float, float]:
-        """Return the 5th and 95th percentile of the elevations of (M, 3) that occur, from the normal."""
+        """Return the 5th and 95th percentile of the angles of directions (M, 3) from the normal, in degrees."""
         theta = np.rad2deg(np.arccos(np.clip(directions[self.lit, 2], 0.0, 1.0)))
         return (0.0, 0.0) if theta.size == 0 else tuple(np.quantile(theta, (0.05, 0.95)).tolist())
 
@@ -77,7 +77,7 @@ class MaterialLighting:
 
     @property
     def spectrum(self) -> Array:
-        """Mean irradiance in each of the bands, shape (L,), largest value 1."""
+        """Mean irradiance in each band, scaled so that the largest value is 1, shape (L,)."""
         total = np.sum(self.light * np.maximum(self.wo[:, 2:], 0.0), axis=0)
         return total / max(float(total.max()), 1e-30)
 
@@ -103,7 +103,7 @@ class Survey:
         return next(iter(self.lighting.values())).bands
 
     def display(self, radiance: Array) -> Array:
-        """Return XYZ or linear sRGB (..., 3) as display values in [0, 1], exposed and white-adapted, tone-mapped."""
+        """Convert XYZ or linear sRGB (..., 3) to exposed, white-adapted, tone-mapped display values in [0, 1]."""
         if self.bands.is_rgb:
             return images.tone_map(radiance / self.white)
         return images.tone_map(xyz_to_srgb(radiance / self.white[1], self.white / self.white[1]))
@@ -133,7 +133,7 @@ class Survey:
 
 
 def survey(document: SceneDocument, files: Mapping[str, Path], is_rgb: bool, size: int) -> Survey:
-    """Survey light and view of a scene's materials, by their measured files.
+    """Survey the light and views of a scene's materials, given their measured files.
 
     The picture has `size` pixels on the longer side.
     """

@@ -1,10 +1,10 @@
-"""The cheapest representation of every material of a scene that preserves its image: the search.
+"""Searches the cheapest representation of every material of a scene that preserves its picture.
 
-Rendering is a callback, which returns the differences of a render. Candidates are tried from the cheapest on; those
-whose predicted difference is far above the tolerance are not rendered. First each material is exchanged alone, then
-all together. If all together differ too much, the search is repeated with a tolerance divided by the square root of
-2. A smaller tolerance never gives a cheaper result: a choice that passes it also passes the larger one, whose
-sequence of divided tolerances contains those of half of it.
+A callback renders and returns the differences. Candidates are tried from the cheapest on; candidates whose predicted
+difference is far above the tolerance are not rendered. First each material is replaced alone, then all together. If
+all together differ too much, the search is repeated with the tolerance divided by the square root of 2. Halving the
+tolerance never gives a cheaper result, because the sequence of divided tolerances for the larger one contains that
+for the smaller one.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from manifold.core.errors import UsageError
 from manifold.study.budget.representations import Representation
 
 SLACK = 2.0
-"""Candidates are rendered where their predicted difference is at most this many times the tolerance."""
+"""Candidates are rendered if their predicted difference is at most this many times the tolerance."""
 
 _STEP = 2.0**-0.5
 _MOST_STEPS = 16
@@ -42,9 +42,9 @@ class Tolerance:
     """The largest allowed differences of a picture, and limits on size and time.
 
     Attributes:
-        delta_e: mean CIEDE2000.
-        flip: mean FLIP; None for no limit.
-        size: bytes of all materials together; None for no limit.
+        delta_e: limit of the mean CIEDE2000.
+        flip: limit of the mean FLIP; None for no limit.
+        size: limit of the bytes of all materials together; None for no limit.
         milliseconds: time of a million evaluations of a material; None for no limit.
     """
 
@@ -68,10 +68,10 @@ class Tolerance:
 
 
 Choice = Mapping[str, Representation]
-"""A candidate per material, by key; a material that is missing is the reference."""
+"""The chosen candidate of each material, by key; missing materials keep the reference."""
 
 Verify = Callable[[Choice], Mapping[str, Difference]]
-"""The measured error of a render with a choice of representations, per material."""
+"""A function that renders a choice and returns its measured differences, per material."""
 
 
 @dataclass(frozen=True)
@@ -100,8 +100,8 @@ def search(
 
     The candidates of a material are sorted from the cheapest on and include the whole file
     (`Representation.is_full`). `verify` renders a choice, and is called once per choice. Times of candidates are
-    needed only if the tolerance limits them. If it limits bytes, those of `others`, the unchanged materials, count
-    as well.
+    needed only if the tolerance limits them. If the tolerance limits bytes, `others`, the bytes of unchanged
+    materials, are included.
     """
     alone: dict[str, dict[str, Difference]] = {key: {} for key in candidates}
 
@@ -152,7 +152,7 @@ def _first(
             return candidate
     if not candidates:
         raise UsageError(
-            f"no representation evaluates a million times within {tolerance.milliseconds:g} ms; allow more"
+            f"no representation is evaluated a million times within {tolerance.milliseconds:g} ms; raise the limit"
         )
     best = min(candidates, key=lambda candidate: candidate.predicted)
     found = difference_alone(key, best)

@@ -1,4 +1,4 @@
-"""Renders that verify a budget: a scene with replaced materials against the reference, with noise removed."""
+"""Verifies a budget: renders the scene with replaced materials, and compares it with the reference without noise."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from manifold.study.budget.search import Choice, Difference
 
 
 class Pictures:
-    """Renders of a scene with exchanged materials, which are compared with the reference."""
+    """Renderings of a scene with replaced materials, which are compared with the reference."""
 
     def __init__(
         self, document: SceneDocument, files: Mapping[str, Path], survey: Survey, samples: int, seed: int

@@ -1,1 +1,1 @@
-"""`manifold stability`: a catalogue of failure modes, and whether they are detected."""
+"""Implements `manifold stability`, a catalogue of failure modes that shows whether they are detected."""

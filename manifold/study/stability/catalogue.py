@@ -15,9 +15,9 @@ FALSE_ALARM = "false alarm"
 
 
 def table(made: Stability) -> list[list[str]]:
-    """Return a row per mode, named in its first row only, and method.
+    """Return one row per mode and method: the largest error without a message, the limit, and the outcomes.
 
-    A row has the largest error without a message, the limit of the mode, and the outcomes.
+    A mode is named only in its first row.
     """
     rows, previous = [], None
     for row in made.rows:
@@ -44,7 +44,7 @@ def outcomes(row: Row) -> str:
 
 
 def conclusion(made: Stability) -> str:
-    """Return a conclusion in words; if several kinds of map were tried in the same modes, with the better one."""
+    """Return a conclusion as text; if several kinds of map were tried in the same modes, it names the better kind."""
     said = "Results without a message can be trusted in these modes: every error above its limit caused a message."
     if made.wrong:
         wrong = ", ".join(f"{row.method} ({row.mode})" for row in made.wrong)
@@ -80,5 +80,5 @@ def summary(made: Stability) -> str:
 
 
 def short(text: str, width: int) -> str:
-    """Cut a text to a width."""
+    """Cut a text to `width` characters."""
     return text if len(text) <= width else text[: width - 2] + ".."

@@ -193,7 +193,7 @@ def _rounded(file: BsdfFile, bits: float) -> BsdfFile:
 
 
 Change = Callable[[Path, float], None]
-"""Done to a folder of `library.zarr` and `model.h5` by a severity; 0 does nothing."""
+"""A function that changes a folder with `library.zarr` and `model.h5` by a severity; 0 changes nothing."""
 
 
 def _after_change(change: Change, bed: TestBed, severity: float) -> Measurement:

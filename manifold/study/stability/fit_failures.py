@@ -158,7 +158,7 @@ def _mirror(alpha: float) -> BRDF:
 
 
 def brushed(ratio: float) -> BRDF:
-    """Return a brushed metal of roughness 0.05 across the brushing and `ratio` times that along it."""
+    """Return a brushed metal with roughness 0.05 across the brushing and `ratio` * 0.05 along it."""
     return _metal(0.05 * ratio, 0.05)
 
 

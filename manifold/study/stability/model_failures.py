@@ -38,7 +38,7 @@ def held_out(bed: TestBed, alpha: float = MIDDLE) -> MeasuredBRDF:
 
 
 def in_error_of_nearest(bed: TestBed, found: BRDF) -> float:
-    """Return the error of the left-out plastic's prediction over that of the nearest material of the family."""
+    """Return the prediction error of the left-out plastic, divided by the error of the nearest material."""
     truth = held_out(bed)
     nearest = bed.cached(
         "error of the nearest", lambda: min(bed.error(MeasuredBRDF(file), truth) for file in bed.family)
@@ -152,7 +152,7 @@ def _requested(bed: TestBed, reflectance: float) -> list[Measurement]:
 _RAYS = 6
 
 Places = Callable[[TestBed, float], Iterator[tuple[PredictedBRDF, tuple[str, ...]]]]
-"""Predictions at a distance outside the materials, with their diagnostics."""
+"""A function that yields predictions at a distance outside the materials, with their diagnostics."""
 
 
 def _from_outermost(

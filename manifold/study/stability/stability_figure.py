@@ -1,4 +1,4 @@
-"""Figure of the failure modes: error against severity, a panel per mode, a line per method."""
+"""Draws the failure modes: error against severity, one panel per mode, one line per method."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Test bed of the catalogue of failure modes: a family of materials with known ground truth, libraries and models.
+"""The test bed for failure modes: a family of materials with known ground truth, its libraries and models.
 
-The family is a plastic (GGX boundary over a diffuse base) of any roughness and colour, in three bands, measured by the
-virtual goniometer. Between two measured members lies a third one, whose true BRDF is known, so that every error can
-be measured.
+The family is a plastic (GGX boundary over a diffuse base) of any roughness and colour, in three bands, measured by
+the virtual goniometer. Between two measured members lies a third one, whose true BRDF is known, so that every error
+can be measured.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class TestBed:
         self._folder.cleanup()
 
     def cached(self, key: Hashable, make: Callable[[], Any]) -> Any:
-        """Return the result of `make`, which is called once per key."""
+        """Return the cached result of `make`, which is called once per key."""
         if key not in self._made:
             self._made[key] = make()
         return self._made[key]
@@ -118,7 +118,7 @@ class TestBed:
 
     @cached_property
     def pairs(self) -> Pairs:
-        """Direction pairs at which errors are measured; they differ from those by which materials are embedded."""
+        """Direction pairs at which errors are measured; they differ from the pairs at which materials are located."""
         return _GRID.pairs()
 
     def error(self, found: BRDF, truth: BRDF) -> float:
@@ -129,7 +129,7 @@ class TestBed:
     def ball_difference(self, found: BRDF, truth: BRDF, *, is_turned: bool = True) -> float:
         """Return the mean CIEDE2000 between two materials of the family's bands.
 
-        A turned light is a light that no diagnostic uses.
+        With `is_turned`, the light is turned to a direction that no diagnostic uses.
         """
         ball = ball_colours.ball(turned_deg=180.0 * is_turned)
         return ball.difference(found.eval(ball.wi, ball.wo), truth.eval(ball.wi, ball.wo), BANDS)
@@ -185,7 +185,7 @@ def predict(
 ) -> tuple[PredictedBRDF, tuple[str, ...]]:
     """Predict at a latent of a manifold; return the BRDF and its diagnostics.
 
-    `residual` is that of `diagnostics`.
+    `residual` is the argument of `diagnostics.of_prediction`.
     """
     brdf = model.predict(x, colours)
     is_extrapolation = bool(model.is_extrapolation(x, colours))

@@ -1,10 +1,10 @@
-"""Trials of a catalogue of failure modes, and whether failures are detected.
+"""Runs trials of failure modes, and classifies whether failures are detected.
 
-A mode makes inputs of rising severity, and runs on them every method that it concerns. A trial measures an error, and
-keeps the messages of the package: an error of `manifold.core.errors` is a refusal; a warning, a diagnostic or a note is
-a warning. An error above the mode's limit without any message is *silently wrong*; a warning or a refusal at the first
-severity, which is harmless, is a *false alarm*. Both are defects of the package. Methods that cannot run on this
-machine are left out.
+A mode makes inputs of rising severity, and runs the methods that it concerns on them. A trial measures an error and
+collects the messages of the package: an error of `manifold.core.errors` is a refusal; a warning, a diagnostic or a
+note is a warning. An error above the mode's limit without any message is *silently wrong*; a warning or a refusal at
+the first severity, which is harmless, is a *false alarm*. Both are defects of the package. Methods that cannot run on
+this machine are left out.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ A ManifoldError is a refusal, but a RendererError says that the method cannot ru
 
 @dataclass(frozen=True)
 class Limit:
-    """The largest error that counts as right: the measured quantity, its limit, and the reason for it."""
+    """The largest acceptable error: the measured quantity, its limit, and the reason for the limit."""
 
     quantity: str
     value: float
@@ -134,7 +134,7 @@ class Row:
 
     @property
     def is_false_alarm(self) -> bool:
-        """Return whether the first, harmless severity was warned of or refused."""
+        """Return whether the first, harmless severity caused a warning or a refusal."""
         return self.results[0].outcome in (WARNED, REFUSED)
 
 
@@ -157,7 +157,7 @@ class Stability:
 
     @property
     def false_alarms(self) -> tuple[Row, ...]:
-        """Rows whose first, harmless severity was warned of or refused."""
+        """Rows whose first, harmless severity caused a warning or a refusal."""
         return tuple(row for row in self.rows if row.is_false_alarm)
 
     @property

@@ -259,7 +259,7 @@ def test_names_of_pictures_are_no_formulas(name, tmp_path):
     assert (tmp_path / "residuals.png").stat().st_size > 0
 
 
-def test_an_estimated_exposure_is_said_and_does_not_change_the_photograph_that_is_shown(
+def test_an_estimated_exposure_is_reported_and_leaves_the_shown_photograph_unchanged(
     folder, library, tmp_path, monkeypatch
 ):
     shown = []

@@ -103,9 +103,7 @@ def left_out(letter: Variant, materials: list[MeasuredBRDF]) -> dict[str, dict[s
         errors = measured(data, balls, lambda i, c=is_clipped: Combination(Identity(), spread[i], None, c))
         tables[name] = {
             key: [float(np.median(of)), float(np.percentile(of, 90))]
-            for key, of in (
-                (kind.replace("eq. 22", "eq_22"), errors[kind]) for kind in ("ball", "cube root", "linear")
-            )
+            for key, of in ((kind, errors[kind]) for kind in ("ball", "ball ITP", "cube root", "linear"))
         }
     whole = eq_22(S, spread)
     tables["letter"]["eq_22"] = [float(np.median(whole)), float(np.percentile(whole, 90))]

@@ -72,7 +72,7 @@ def measured(data: Data, balls: MaterialTable, find: Callable[[int], Combination
         errors.add(block)
     found = balls.looks(made) | errors.of_values(GRID.n_pairs, band_shares(data.bands, data.n_bands))
     return {
-        "ball": found.ball, "cube root": found.cube_root, "linear": found.linear,
+        "ball": found.ball, "ball ITP": found.ball_itp, "cube root": found.cube_root, "linear": found.linear,
         "eq. 22": found.rmse, "eq. 22, within 80 degrees": found.rmse_80,
     }  # fmt: skip
 
@@ -114,7 +114,13 @@ def main() -> None:
 
 def ranges(rows: dict[str, dict[str, Array]]) -> dict[str, dict[str, object]]:
     """Medians of the map, and of every rule the least and the largest over starts."""
-    key = {"ball": "ball", "cube root": "cube_root", "linear": "linear", "eq. 22": "eq_22"}
+    key = {
+        "ball": "ball",
+        "ball ITP": "ball_itp",
+        "cube root": "cube_root",
+        "linear": "linear",
+        "eq. 22": "eq_22",
+    }
     own = rows["blend_2"]
     found: dict[str, dict[str, object]] = {"map": {}, "cube_roots": {}, "raw_values": {}}
     for kind in own:

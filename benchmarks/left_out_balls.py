@@ -2,8 +2,8 @@
 
     python benchmarks/left_out_balls.py FOLDER docs/images/left-out-balls.png
 
-FOLDER holds `.bsdf` files in RGB. The material with the largest error on the map comes first; the number under a ball
-is its ball error. Shown in docs/explanation/accuracy.md.
+FOLDER holds `.bsdf` files in RGB. The material with the largest error on the map comes first; the numbers under a ball
+are its ball error and its FLIP against the measured one. Shown in docs/explanation/accuracy.md.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 from left_out import predict
-from lit_balls import lit_ball, save
+from lit_balls import flip, lit_ball, save
 
 import manifold as mf
 from manifold.core.records import Array
@@ -27,13 +27,15 @@ PER_ROW = 10
 ROWS = ("measured", "map", "reconstruct")
 
 
-def balls_of(library: Path, path: Path) -> tuple[list[Array], list[float]]:
-    """Return the balls of ROWS for a file, and the ball errors of the last two."""
+def balls_of(library: Path, path: Path) -> tuple[list[Array], list[tuple[float, float]]]:
+    """Return the balls of ROWS for a file, and the ball error and FLIP of the last two."""
     measured = mf.MeasuredBRDF(mf.read_bsdf(path))
     model, predicted = predict(library, measured, material_name(path))
     described = (predicted, model.reconstruct(measured))
     balls = [lit_ball(brdf, SIZE, 20, 32) for brdf in (measured, *described)]
-    return balls, [brdf_errors(measured, brdf).ball for brdf in described]
+    alike = [flip(balls[0], ball) for ball in balls[1:]]
+    errors = [brdf_errors(measured, brdf).ball for brdf in described]
+    return balls, list(zip(errors, alike, strict=True))
 
 
 def main() -> None:
@@ -51,10 +53,12 @@ def main() -> None:
         mf.import_files(library, paths)
         for path in paths:
             drawn.append((material_name(path), *balls_of(library, path)))
-            print(drawn[-1][0], *(f"{error:.2f}" for error in drawn[-1][2]), flush=True)
-    drawn.sort(key=lambda each: -each[2][0])
-    for row, errors in zip(ROWS[1:], np.array([errors for _, _, errors in drawn]).T, strict=True):
-        print(row, "median {:.2f}, 90th percentile {:.2f}".format(*np.percentile(errors, (50, 90))))
+            print(drawn[-1][0], *(f"{error:.2f} {alike:.3f}" for error, alike in drawn[-1][2]), flush=True)
+    drawn.sort(key=lambda each: -each[2][0][0])
+    all_errors = np.array([errors for _, _, errors in drawn])  # materials, rows, kinds
+    for row, errors in zip(ROWS[1:], np.swapaxes(all_errors, 0, 1), strict=True):
+        for kind, values in zip(("CIEDE2000", "FLIP"), errors.T, strict=True):
+            print(row, kind, "median {:.3g}, 90th percentile {:.3g}".format(*np.percentile(values, (50, 90))))
     blocks = -(-len(drawn) // PER_ROW)
     figure, axes = plt.subplots(3 * blocks, PER_ROW, figsize=(10.4, 3.65 * blocks), layout="constrained")
     figure.get_layout_engine().set(w_pad=0.01, h_pad=0.01, wspace=0.0, hspace=0.0)
@@ -67,7 +71,9 @@ def main() -> None:
         ):
             axis.imshow(ball)
             if error is not None:
-                axis.text(0.5, -0.02, f"{error:.1f}", transform=axis.transAxes, ha="center", va="top")
+                off, alike = error
+                label = f"{off:.1f}, {alike:.3f}"
+                axis.text(0.5, -0.02, label, transform=axis.transAxes, ha="center", va="top", fontsize=8)
         axes[3 * block, column].set_title(name.replace("_", " "), fontsize=6)
         if column == 0:
             for axis, label in zip(axes[3 * block : 3 * block + 3, 0], ROWS, strict=True):

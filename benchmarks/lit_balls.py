@@ -13,6 +13,7 @@ from manifold.brdf.interface import BRDF
 from manifold.colour import ball_colours
 from manifold.colour.conversion import encode_srgb, xyz_to_srgb
 from manifold.core.records import Array
+from manifold.render import images
 
 _PIXELS_AT_ONCE = 512  # bounds the memory that evaluations take
 
@@ -28,6 +29,12 @@ def lit_ball(brdf: BRDF, size: int, rings: int = 24, spokes: int = 48) -> Array:
         picture[row, column, :3] = encode_srgb(np.clip(linear, 0.0, 1.0))
         picture[row, column, 3] = np.clip(0.5 * size * (1.0 - np.linalg.norm(part.places, axis=1)), 0.0, 1.0)
     return picture
+
+
+def flip(reference: Array, test: Array) -> float:
+    """Return FLIP between two balls (size, size, 4), its mean over the pixels that they cover."""
+    covered = reference[..., 3] > 0.0
+    return float(images.flip_map(reference[..., :3], test[..., :3])[covered].mean())
 
 
 def save(figure: Figure, path: Path, dpi: int = 100) -> None:

@@ -24,7 +24,7 @@ from engines.balls import Light, y_up
 from helpers.browser import chromium
 from helpers.three_js import ThreeJs, node_modules
 from left_out import Given, write_ma_t12
-from lit_balls import lit_ball
+from lit_balls import flip, lit_ball
 
 import manifold as mf
 from manifold.colour import ball_colours
@@ -90,7 +90,8 @@ def main() -> None:
             for axis, picture in zip(row[1:], (completed_ball, measured_ball, drawn), strict=True):
                 axis.imshow(np.clip(picture, 0.0, 1.0))
                 axis.axis("off")
-            off = f"off by {found:.1f} CIEDE2000, expected {expected:.1f}"
+            alike = flip(measured_ball, completed_ball)
+            off = f"off by {found:.1f} CIEDE2000, expected {expected:.1f}; FLIP {alike:.3f}"
             row[1].text(0.5, -0.02, off, transform=row[1].transAxes, ha="center", va="top", fontsize=8)
     for axis, title in zip(
         axes[0], ("12 readings", "completed", "measured", "exported, in three.js"), strict=True

@@ -126,13 +126,14 @@ def main() -> None:
             ]
             difference = images.ciede2000_map(*pictures)
             off, ball = difference[shows_vase].mean(), brdf_errors(measured, predicted).ball
-            print(f"{name}: {off:.2f} on the vase, {ball:.2f} on the ball", flush=True)
+            flip = images.flip_map(*pictures)[shows_vase].mean()
+            print(f"{name}: {off:.2f} and FLIP {flip:.3f} on the vase, {ball:.2f} on the ball", flush=True)
             for axis, picture in zip(row, pictures, strict=False):
                 axis.imshow(np.clip(picture, 0.0, 1.0))
             shown = row[2].imshow(difference, cmap="magma", vmin=0.0, vmax=LARGEST)
             row[0].set_ylabel(name.replace("_", " "))
             row[1].set_xlabel(f"ball error {ball:.1f}")
-            row[2].set_xlabel(f"CIEDE2000 {off:.1f}, mean over the vase")
+            row[2].set_xlabel(f"CIEDE2000 {off:.1f}, FLIP {flip:.3f}, means over the vase")
     for axis in axes.flat:
         axis.set_xticks([])
         axis.set_yticks([])

@@ -339,8 +339,7 @@ class _BestPlace:
     """
 
     def __init__(self, X: Array, length_scale: float, cross: Array, gram: Array) -> None:
-        self._X, self._l, self._cross = X, length_scale, cross
-        self._rows = gram.reshape(-1, len(X))  # [K N, N]
+        self._X, self._l, self._cross, self._gram = X, length_scale, cross, gram
 
     def place(self, bands: Indices, norm: float) -> tuple[Array, float]:
         """Return the place (Q,) of least squared residual in some bands, and that residual.
@@ -391,6 +390,7 @@ class _BestPlace:
         Their shapes are (M, K, B) and (M, K, 1).
         """
         u = blend_weights(x, self._X, self._l)
-        inner = np.maximum(u @ cross.reshape(len(cross), -1), 0.0).reshape(len(u), *cross.shape[1:])
-        squared = (u @ self._rows.T).reshape(len(u), -1, u.shape[1]) @ u[:, :, None]
-        return inner, np.maximum(squared, TINY)
+        near = np.flatnonzero(u.any(axis=0))  # at a single place, few materials have a weight
+        u, rows = u[:, near], self._gram[:, near[:, None], near].reshape(-1, len(near))  # [K n, n]
+        squared = (u @ rows.T).reshape(len(u), -1, len(near)) @ u[:, :, None]
+        return np.maximum(np.tensordot(u, cross[near], 1), 0.0), np.maximum(squared, TINY)

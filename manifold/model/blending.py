@@ -48,6 +48,7 @@ _EXAGGERATIONS = (
     1.0,
 )  # of the attraction, one after the other: the first arrange, the last is the objective
 _BISECTIONS = 60
+_MOST_DISTANCES = 100_000  # that are computed; a tree takes longer for fewer
 _RADIUS = 0.9  # radius of the kernel, in sides of a sample's share of the convex hull
 _NEAREST = 2.5  # length scales between neighbours, at most, in the median: in many dimensions the hull is all but flat
 _TIGHT = {"maxiter": 2000, "maxfun": 10000, "ftol": 1e-13, "gtol": 1e-9, "maxcor": 20}  # options of L-BFGS
@@ -62,9 +63,9 @@ def blend_weights(x: Array, X: Array, length_scale: float = 1.0) -> Array:
     """
     if len(X) <= NEIGHBOURS:
         return _weights(squared_distances(x, X) / length_scale**2)
-    distances, nearest = scipy.spatial.KDTree(X).query(x, NEIGHBOURS + 1)
+    squared, nearest = _nearest(x, X, NEIGHBOURS + 1)
     u = np.zeros((len(x), len(X)))
-    shares = _weights((distances / length_scale) ** 2, is_cut=True)
+    shares = _weights(squared / length_scale**2, is_cut=True)
     np.put_along_axis(u, nearest[:, :-1], shares, axis=1)
     return u
 
@@ -88,9 +89,7 @@ def _weights(squared: Array, *, is_cut: bool = False) -> Array:
 
 def nearest_distance(x: Array, X: Array) -> Array:
     """Return the distances of places x (M, Q) from the nearest of the samples X (N, Q), shape (M,)."""
-    if len(X) > NEIGHBOURS:
-        return np.asarray(scipy.spatial.KDTree(X).query(x)[0])
-    return np.sqrt(squared_distances(x, X).min(axis=1))
+    return np.sqrt(_nearest(x, X, 1)[0][:, 0])
 
 
 def widest_gap(X: Array) -> float:
@@ -100,11 +99,21 @@ def widest_gap(X: Array) -> float:
 
 def _gaps(X: Array) -> Array:
     """Return the distance of every sample of X (N, Q) from its nearest other one, shape (N,)."""
-    if len(X) > NEIGHBOURS:
-        return np.asarray(scipy.spatial.KDTree(X).query(X, 2)[0][:, 1])
-    squared = squared_distances(X, X)
-    np.fill_diagonal(squared, np.inf)
-    return np.sqrt(squared.min(axis=1))
+    return np.sqrt(_nearest(X, X, 2)[0][:, 1]) if len(X) > 1 else np.array([np.inf])
+
+
+def _nearest(x: Array, X: Array, count: int) -> tuple[Array, Indices]:
+    """Return the squared distances of places x (M, Q) from the `count` nearest of X (N, Q), and their indices.
+
+    Both have the shape (M, count), the nearest first.
+    """
+    if len(x) * len(X) > _MOST_DISTANCES:
+        distances, nearest = scipy.spatial.KDTree(X).query(x, np.arange(1, count + 1))
+        return distances**2, nearest
+    squared, rows = squared_distances(x, X), np.arange(len(x))[:, None]
+    nearest = np.argpartition(squared, count - 1, axis=1)[:, :count]
+    nearest = nearest[rows, np.argsort(squared[rows, nearest], axis=1)]
+    return squared[rows, nearest], nearest
 
 
 def blend_layout(distance: Array, n_components: int) -> Array:

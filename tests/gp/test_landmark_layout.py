@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from manifold.model.blending import NEIGHBOURS, blend_layout, blend_weights
+from manifold.model.blending import NEIGHBOURS, blend_layout, blend_weights, nearest_distance
 from manifold.model.landmarks import farthest_samples, landmark_layout
 
 
@@ -46,3 +46,13 @@ def test_weights_among_thousands_are_of_neighbours_and_continuous(rng):
     assert u[0, 7] == 1.0
     finer = blend_weights(x + 1e-7, X, 0.05)
     assert np.abs(finer - u).sum(axis=1).max() < 1e-4  # neighbours come and go with weight 0
+
+
+def test_one_place_has_the_weights_that_it_has_among_many(rng):
+    X = rng.uniform(-1.0, 1.0, size=(2000, 2))
+    x = np.concatenate([X[:30], rng.uniform(-1.2, 1.2, size=(70, 2))])  # enough for a search tree
+    alone = np.concatenate([blend_weights(place[None], X, 0.05) for place in x])
+    np.testing.assert_allclose(alone, blend_weights(x, X, 0.05), rtol=1e-9, atol=1e-15)
+    gaps = np.concatenate([nearest_distance(place[None], X) for place in x])
+    np.testing.assert_allclose(gaps, cdist(x, X).min(axis=1), rtol=1e-12)
+    np.testing.assert_allclose(nearest_distance(x, X), gaps, rtol=1e-12)

@@ -89,7 +89,7 @@ def main() -> None:
                 color="#0072b2",
                 alpha=0.22,
                 lw=0,
-                label="error of nine in ten",
+                label="90 % band",
             )
             axis.plot(ELEVATIONS_DEG, f, color="#0072b2", label="completed")
             axis.plot(ELEVATIONS_DEG, measured, "--", color="black", lw=1.2, label="measured")

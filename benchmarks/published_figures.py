@@ -60,7 +60,7 @@ def main() -> None:
         "linear\ninterpolation": lambda t: blends.linear(start, end, 1.0 - t),
         "published fit": lambda t: letter.predict((1.0 - t) * at(letter, start) + t * at(letter, end)),
         "GPLVM of cube\nroots": lambda t: gplvm.predict((1.0 - t) * at(gplvm, start) + t * at(gplvm, end)),
-        "walk on the\nmap of blends": lambda t: blends.interpolate(start, end, t),
+        "walk between\nthe two": lambda t: blends.interpolate(start, end, t),
     }
     rows += [(title, [(f"{t:.2f}", of(t)) for t in STEPS.tolist()]) for title, of in lines.items()]
     headed = {rows[0][0], rows[len(rows) - len(lines)][0]}

@@ -30,7 +30,7 @@ GROUPS = {
     },
     "Map": {
         "embed": ("model", "Fit a manifold to a library."),
-        "predict": ("model", "Write the material at a point of the map."),
+        "predict": ("model", "Write the material at a point of the map, or edit a file."),
         "walk": ("picture", "Draw a walk between two materials."),
         "locate": ("model", "Find the point of the map for a measured file."),
         "find": (
@@ -211,7 +211,7 @@ def _without_range(record: tuple[str, str] | None) -> tuple[str, str] | None:
 app = Application(
     name="manifold",
     cls=Group,
-    help="Learn a manifold of materials from measured spectral BRDFs, and predict BRDFs that were not measured.",
+    help="Estimate whole BRDFs from few measurements, predict materials between measured ones, render and export them.",
     epilog="Start with `manifold demo`, which runs all main steps on built-in materials.",
     add_completion=False,
     pretty_exceptions_enable=False,

@@ -76,7 +76,8 @@ class MadeOptions(options.FileOptions):
         bool,
         typer.Option(
             "--picture",
-            help="Also render its ball, into NAME.png; for several samples, a sheet of balls is always drawn.",
+            help="Also render the ball of the result, into NAME.png; for several samples, a sheet of balls is always "
+            "drawn.",
         ),
     ] = False
     report: options.ReportOption = None
@@ -152,7 +153,7 @@ def complete(
     workers: WorkerOptions = PER_CORE,
     json: options.JsonOption = None,
 ) -> None:
-    """Estimate a full BRDF from readings of a material, with a library of materials as prior.
+    """Estimate a whole BRDF from readings of a material, with a library of materials as prior.
 
     Reports the expected error, the residual of the readings, and the mixtures of materials that explain them. Several
     samples are completed into a folder, with a table and a picture of all balls; results of an earlier run are

@@ -78,9 +78,9 @@ def fit(
 ) -> None:  # fmt: skip
     """Fit a BSDF of Mitsuba to measured files or to a predicted material.
 
-    Writes one JSON per material: parameters, the difference on a lit ball, residuals, all minima found, and
-    how well the samples determine each parameter. Fits that are up to date are kept. Several materials are fitted into
-    a folder, with a table and a picture of all balls.
+    Writes one JSON per material: parameters, the difference on a lit ball, residuals, all minima found, and how well
+    the samples determine each parameter. A repeated run keeps fits whose inputs have not changed. Several materials are
+    fitted into a folder, with a table and a picture of all balls.
     """
     from manifold.estimate.sources import FileSource, PlaceSource
     from manifold.fit import fits

@@ -80,7 +80,7 @@ def embed(
         Kind,
         typer.Option(
             help="blend: non-negative combinations of the surrounding materials. gplvm: a Gaussian process of whole "
-            "materials (Hikichi & Iwasaki); material is the old name of gplvm."
+            "materials (Hikichi & Iwasaki)."
         ),
     ] = "blend",
     latent_dim: Annotated[
@@ -88,7 +88,8 @@ def embed(
         typer.Option(
             "--latent-dim",
             "-q",
-            help="Dimensions of the manifold; auto chooses by held-out error and detour (minutes).",
+            help="Dimensions of the manifold; auto chooses by the errors of left-out materials and by detours, which "
+            "takes minutes.",
             metavar="Q|auto",
         ),
     ] = "2",
@@ -351,11 +352,11 @@ def predict(
     workers: OneWorkerOptions = ONE,
     json: options.JsonOption = None,
 ) -> None:
-    """Predict the material at a latent coordinate and write it as a .bsdf that Mitsuba opens.
+    """Predict the material at a point of the map, or edit a file, and write a .bsdf that Mitsuba opens.
 
-    The colour is that of the latent, unless --like, --reflectance or --srgb chooses another. --lightness, --chroma and
-    --hue change it; --gloss changes only the coat, not the layer below. A file or a step of a walk keeps its own
-    values, which these options edit; `manifold locate` finds a file's place on the map.
+    The colour is blended from the surrounding materials, unless --like, --reflectance or --srgb sets another.
+    --lightness, --chroma and --hue change it; --gloss changes only the coat, not the layer below. If a file or a step
+    of a walk is given, these options edit its values; `manifold locate` finds the place of a file on the map.
     `--latent X,Y` is equivalent to the argument X,Y.
     """
     from manifold.estimate import predictions
@@ -493,9 +494,9 @@ def reconstruct(
 ) -> None:
     """Reconstruct a measured material from a library, by non-negative least squares in every band.
 
-    This is the most accurate method here for a new material: a non-negative combination of single bands of all
-    materials and of analytic lobes. It needs no model and gives no latent. Several materials are written into a folder,
-    with a table and a picture of all balls.
+    This is the most accurate method of this program for a measured file: a non-negative combination of single bands of
+    all materials and of analytic lobes. It needs no model and gives no latent. Several materials are written into a
+    folder, with a table and a picture of all balls.
     """
     from manifold.estimate import descriptions
     from manifold.model.output_file import OutputOptions

@@ -139,7 +139,7 @@ def slices(
     output: PictureOption = Path("slices.png"),
     json: options.JsonOption = None,
 ) -> None:
-    """Draw measured and predicted BRDFs beside each other: slices at incidence 20, 40 and 60 degrees."""
+    """Draw slices of several BRDFs beside each other, by default at incidences of 20, 40 and 60 degrees."""
     from manifold.pictures import figures, maps
 
     results = terminal.Results(json)
@@ -206,7 +206,7 @@ def explore(
     """Explore the map in a web page: drag a point to see the ball, slices, reflectance and nearest materials.
 
     The page is served on the loopback interface only, until Ctrl-C; it can also write .bsdf files, render, fit,
-    export, locate files and complete readings. For the notebook widget, see docs/how-to/explore.md.
+    export, locate files and complete readings. In notebooks, manifold.page.MapWidget shows it.
     """
     from manifold.page import explore
 

@@ -166,8 +166,8 @@ def chart(
     continues from the finished settings, which the library keeps.
 
     The unit of time is one evaluation of a synthetic material at 8,192 direction pairs in 195 bands, in the same run.
-    P, B and F mark settings on the Pareto front of error against time to predict, bytes, or time to fit. Fits to the
-    evaluated materials themselves are not marked. With --readings, the work is not shared.
+    In the table, P, B and F mark settings on the Pareto front of error against time to predict, bytes, or time to fit.
+    Fits to the evaluated materials themselves are not marked. With --readings, the work is not shared.
     """
     from manifold.library.store import Library
     from manifold.model.manifold import Manifold
@@ -291,7 +291,7 @@ def stability(
 
     Column "undetected" is the largest error that caused no warning or error message. If it exceeds the mode's limit,
     the result is silently wrong. A false alarm is a warning or a refusal for harmless inputs. Both are defects of this
-    program; new ones set the exit status to 1. Outcomes are listed in order of severity.
+    program; new ones set the exit status to 1. For each mode, outcomes are listed by rising severity of the fault.
     """
     from manifold.pictures import figures
     from manifold.study.stability import catalogue, stability_figure
@@ -375,8 +375,8 @@ def budget(
 ) -> None:  # fmt: skip
     """Find the cheapest representation of each measured material that preserves the rendered picture.
 
-    BSDFs of the types measured and manifold are replaced by a parametric fit, by fewer bands or by fewer angles,
-    or are kept. By convention a CIEDE2000 above 1 is called visible.
+    Each BSDF of type measured or manifold is kept, or replaced by a parametric fit or by a version with fewer bands or
+    angles. By convention a CIEDE2000 above 1 is called visible.
     """
     from manifold.study.budget import budgets
     from manifold.study.budget.search import Tolerance

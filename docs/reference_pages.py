@@ -147,7 +147,7 @@ def write_citation(*_: object) -> None:
     """Write the BibTeX entry of this version: reference/manifold.bib."""
     entry = f"""@software{{manifold,
   author  = {{{{The manifold developers}}}},
-  title   = {{manifold: a low-dimensional manifold of measured spectral {{BRDFs}}}},
+  title   = {{manifold: whole {{BRDFs}} from a few measurements, and materials between measured ones}},
   version = {{{__version__}}},
   license = {{MIT}}
 }}

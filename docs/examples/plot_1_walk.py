@@ -2,8 +2,8 @@
 Between two materials
 =====================
 
-A walk interpolates from a matt felt to a satin metal, in steps that look equally large. Only the properties change in
-which the two materials differ: gloss and hue never go back and forth.
+A walk interpolates from a matt felt to a satin metal, in steps that look equally large. Properties that the two
+materials share do not change, and gloss and hue never go back and forth.
 """
 
 import matplotlib.pyplot as plt

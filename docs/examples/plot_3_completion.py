@@ -3,7 +3,7 @@ From twelve readings
 ====================
 
 The twelve geometries of a multi-angle spectrophotometer hardly determine the highlight. Two more readings in mirror
-directions do. The material itself is left out of the library.
+directions determine it. The material itself is left out of the library.
 """
 
 import matplotlib.pyplot as plt

@@ -2,8 +2,8 @@
 Spectra under a fluorescent lamp
 ================================
 
-An RGB file describes a material under one illuminant. The fluorescent lamp F11 emits most of its light in a few lines,
-so that 195 bands give another colour than three channels, even after chromatic adaptation.
+An RGB file describes a material under one illuminant. The fluorescent lamp F11 emits most of its light in a few narrow
+lines. Under it, 195 bands give another colour than three channels do, even after chromatic adaptation.
 """
 
 import matplotlib.pyplot as plt

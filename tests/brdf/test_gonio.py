@@ -110,7 +110,7 @@ def test_measured_cells_are_those_above_the_horizon(tmp_path):
     assert 0.5 < back.measured_mask.mean() < 1.0
 
 
-def test_what_cannot_be_measured_is_refused():
+def test_the_goniometer_refuses_black_materials_and_coarse_grids():
     with pytest.raises(UsageError, match="no light is reflected back"):
         goniometer.measure(Lambert(0.0, RGB), "black")
     with pytest.raises(UsageError, match="outgoing grid has 1"):

@@ -71,7 +71,7 @@ def reciprocity_error(brdf, rng):
     return np.abs(brdf.eval(wi, wo) - brdf.eval(wo, wi)).max()
 
 
-def test_values_of_exchanged_directions_are_moved_until_they_differ_by_five_per_cent(rng):
+def test_reciprocal_correction_leaves_a_difference_of_five_per_cent(rng):
     tilted = Tampered(0.2, 1.0)
     brdf = ReciprocalBRDF(tilted)
     wi, wo = from_spherical(0.3, 0.0), from_spherical(1.2, 2.0)

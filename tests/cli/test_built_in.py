@@ -117,13 +117,13 @@ def test_that_of_another_version_is_refused():
             opened("built-in@0123456789ab")
 
 
-def test_workers_get_its_name_and_hash():
+def test_a_pickled_built_in_library_keeps_its_name_and_hash():
     library = pickle.loads(pickle.dumps(Library("built-in")))
     assert library.content_hash == Library("built-in").content_hash
     assert shipped.named("built-in").encode() in pickle.dumps(library)
 
 
-def test_it_stands_for_its_materials():
+def test_a_source_called_built_in_lists_its_materials():
     source = parse_source("built-in", shipped.BUILT_IN)
     assert kind_of(source.path) is Kind.LIBRARY
     assert [each.name for each in find_inputs([source])] == list(Library("built-in").names)

@@ -110,7 +110,7 @@ DATA_WORDS = {*run_all.MEASURED, *run_all.MADE_OF, "CORPUS", "CHART"}
 
 
 @pytest.mark.parametrize("name", evidence.RESULTS)
-def test_data_that_a_command_names_can_be_given(name):
+def test_commands_of_results_name_only_known_data(name):
     words = evidence.RESULTS[name].command.split()
     assert {word for word in words if word.isupper()} <= DATA_WORDS
 

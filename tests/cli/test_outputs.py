@@ -34,7 +34,7 @@ def test_columns_of_a_table_are_straight_whatever_script_its_cells_are_in(capsys
 @pytest.mark.parametrize(
     "arguments", [("explore", "-o"), ("fit", f"files/{NAMES[0]}_rgb.bsdf", "-o"), ("embed", "-o")]
 )
-def test_a_dash_is_no_file_s_name(run, folder, arguments):
+def test_a_dash_is_refused_as_an_output_file(run, folder, arguments):
     status, out, err = run(*arguments, "-", cwd=folder)
     assert (status, out) == (2, "")
     assert "-: this command writes a file" in one_line(err)

@@ -63,10 +63,10 @@ def test_the_commands_of_the_table_run(run, folder):
         assert (folder / made).exists(), made
 
 
-def test_the_first_command_writes_a_report(run, folder):
+def test_the_first_completion_writes_a_report(run, folder):
     (block, *_) = re.findall(r"```sh\n(.*?)```", README, flags=re.DOTALL)
-    (line,) = [line for line in block.splitlines() if line.startswith("manifold ")]
-    status, _, err = run(*shlex.split(line)[1:], cwd=folder)
+    (line,) = [line for line in block.splitlines() if line.startswith("manifold complete ")]
+    status, _, err = run(*shlex.split(line, comments=True)[1:], cwd=folder)
     assert status == 0, err
     assert (folder / "sample.html").is_file()
 

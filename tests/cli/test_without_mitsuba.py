@@ -53,13 +53,13 @@ def outcomes(tmp_path_factory):
 
 
 @pytest.mark.parametrize("name", WORKS)
-def test_what_does_not_render_works(outcomes, name):
+def test_commands_that_do_not_render_work_without_mitsuba(outcomes, name):
     status, _, err = outcomes[name]
     assert status == 0, err
 
 
 @pytest.mark.parametrize("name", FAILS)
-def test_what_renders_says_in_one_line_what_is_missing(outcomes, name):
+def test_commands_that_render_name_the_missing_package(outcomes, name):
     status, _, err = outcomes[name]
     assert status == 1
     (line,) = err.splitlines()

@@ -51,7 +51,7 @@ def test_neutral_colours_stay_neutral_and_estimates_are_in_proportion(rng):
     assert estimate_spectra(values - 0.5, NARROW).min() >= 0.0
 
 
-def test_colours_of_left_out_reflectances_are_nearer_than_interpolated_ones_and_than_bands_taken_for_rgb():
+def test_wiener_estimates_give_better_colours_than_interpolation_or_bands_as_rgb():
     """Learned from the reflectances of every other name, those of the rest are read in bands 20 nm wide."""
     spectra, read = known()
     fine = Bands(tuple(FINE_NM))

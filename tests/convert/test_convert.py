@@ -116,7 +116,7 @@ def test_the_noise_of_readings_makes_no_bright_rim(name, rng, tmp_path):
         assert np.all(found.mean(axis=1) < 1.8 * true)
 
 
-def test_of_both_directions_of_a_pair_the_one_nearer_to_a_measured_incidence_counts_more(tmp_path):
+def test_reciprocal_values_nearer_to_a_measured_incidence_get_more_weight(tmp_path):
     """One node of MERL stands for both. Four incidences of a satin: 7.8 % (linear) with equal shares, 5.0 % so."""
     path = tmp_path / "half.astm"
     astm.write(path, half_a_goniometer(smooth(MINI_DIFF_BANDS)))

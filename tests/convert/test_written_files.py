@@ -281,7 +281,7 @@ def test_every_format_but_the_source_s_own_is_read_here():
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_what_is_written_is_the_brdf_node_by_node_and_in_sum(name, source, brdf, tmp_path):
+def test_written_values_equal_the_brdf_at_every_node_and_in_sum(name, source, brdf, tmp_path):
     convert([source], tmp_path / "out.dat", to=name)
     found = READERS[name](tmp_path / "out.dat")
     above = np.minimum(found.wi[:, 2], found.wo[:, 2]) > -1e-6

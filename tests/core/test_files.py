@@ -72,7 +72,7 @@ def test_a_text_is_read_with_or_without_a_mark_of_utf8(tmp_path):
     assert read_text(tmp_path / "a", advice="") == "grün"
 
 
-def test_what_is_no_small_text_is_refused_at_once(tmp_path):
+def test_pipes_binaries_and_huge_files_are_refused_as_texts(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "binary").write_bytes(b"\xff\xfe")
     with (tmp_path / "sparse").open("wb") as stream:
@@ -102,7 +102,7 @@ def test_values_are_computed_once_per_key_and_again_where_the_file_is_damaged(tm
         assert len(calls) == 2
 
 
-def test_errors_are_also_what_python_raises_in_such_cases():
+def test_errors_derive_from_the_builtin_errors_in_their_table():
     lines = [line.split("|") for line in (errors.__doc__ or "").splitlines() if line.startswith("| `")]
     table = {cells[1].strip(" `"): [name.strip(" `") for name in cells[2].split(",")] for cells in lines}
     classes = {name: kind for name, kind in vars(errors).items() if isinstance(kind, type)}

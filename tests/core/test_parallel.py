@@ -104,7 +104,7 @@ def test_an_error_in_a_part_is_raised_and_ends_the_others():
 
 
 @pytest.mark.parametrize("text", ["0", "two", "-1", "1.5"])
-def test_a_number_of_threads_that_is_none_is_refused(monkeypatch, text):
+def test_an_invalid_number_of_threads_is_refused(monkeypatch, text):
     monkeypatch.setenv(VARIABLE, text)
     with pytest.raises(UsageError, match=rf"{VARIABLE} is '{text}', expected a number of threads"):
         thread_count()

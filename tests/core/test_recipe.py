@@ -24,11 +24,11 @@ def test_it_has_the_version_of_the_package():
     assert f'version: "{__version__}"' in RECIPE
 
 
-def test_it_requires_what_the_wheel_requires():
+def test_the_recipe_requires_the_packages_of_the_wheel():
     assert entries("run") == ["python", *PROJECT["project"]["dependencies"]]
     assert entries("host") == ["python", "pip", *PROJECT["build-system"]["requires"]]
 
 
-def test_it_is_for_the_versions_of_python_of_the_wheel():
+def test_the_recipe_requires_the_python_of_the_wheel():
     assert PROJECT["project"]["requires-python"] == ">=3.11"
     assert 'match(python, "<3.11")' in RECIPE

@@ -317,7 +317,7 @@ def test_residuals_of_all_hypotheses_are_known_near_readings_as_regression_says(
     )
 
 
-def test_of_the_first_readings_one_sees_the_highlight_and_one_the_colour_of_the_body(atoms):
+def test_the_first_suggested_readings_include_a_highlight_and_a_body_direction(atoms):
     found = suggest(atoms, 3)
     half = found.wi + found.wo
     away = np.degrees(np.arccos(half[:, 2] / np.linalg.norm(half, axis=1)))

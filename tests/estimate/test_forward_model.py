@@ -94,7 +94,7 @@ def test_light_is_sampled_with_its_density(rng, name):
     ("image", "words"),
     [(np.ones((10, 10, 3)), "twice as wide"), (np.zeros((8, 16, 3)), "black"), (np.full((8, 16, 3), np.nan), "finite")],
 )  # fmt: skip
-def test_environments_that_are_none_are_refused(image, words):
+def test_environments_of_wrong_shape_black_or_nan_are_refused(image, words):
     with pytest.raises(UsageError, match=words):
         Environment.of(image)
 

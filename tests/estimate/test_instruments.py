@@ -406,9 +406,7 @@ def test_measurements_that_agree_as_each_repeats_differ_by_nothing_more(rng):
     )
 
 
-def test_a_sample_that_was_measured_twice_is_completed_with_what_the_measurements_differ(
-    run, library, tmp_path
-):
+def test_differences_between_two_measurements_become_the_repeatability(run, library, tmp_path):
     for k, factor in enumerate((0.95, 1.05)):
         csv_table.write(tmp_path / f"at_{k}.csv", readings(np.full((12, 3), 0.2 * factor)))
     status, out, err = run(

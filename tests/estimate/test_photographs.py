@@ -274,7 +274,7 @@ def test_the_light_of_a_picture_without_the_lamp_is_subtracted(folder, tmp_path)
         sightings.see(replace(request, dark=tmp_path / "small.exr"))
 
 
-def test_an_estimated_exposure_is_said_and_does_not_change_the_photograph_that_is_shown(
+def test_an_estimated_exposure_is_reported_and_leaves_the_shown_photograph_unchanged(
     folder, library, tmp_path, monkeypatch
 ):
     shown = []

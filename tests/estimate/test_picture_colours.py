@@ -57,7 +57,7 @@ def test_missing_spectra_have_the_colours_of_the_pictures_there(whole, rows):
     np.testing.assert_array_equal(found.scatter > 0.0, np.arange(12) >= 10)  # less certain than spectra
 
 
-def test_whole_readings_and_such_without_a_picture_beside_a_spectrum_stay_as_they_are(whole):
+def test_readings_without_a_missing_spectrum_or_without_a_calibrating_picture_are_unchanged(whole):
     assert with_picture_colours(whole) is whole
     no_factor = _without(whole, range(6, 12), rows="absent")
     assert with_picture_colours(no_factor) is no_factor

@@ -281,7 +281,7 @@ def test_errors_of_a_projected_file_are_those_of_what_was_written(folder, monkey
     assert completed.residual == found.residual_of_readings
 
 
-def test_a_place_is_converted_as_it_is_predicted_not_as_its_file_resolves_it(run, folder):
+def test_converting_a_place_evaluates_the_prediction_not_its_sampled_file(run, folder):
     status, _, err = run("convert", "0.1,0.2", "-o", "place.csv", cwd=folder)
     assert (status, err) == (0, "")
     read = registry.read_readings(folder / "place.csv", None)

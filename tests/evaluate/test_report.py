@@ -256,7 +256,7 @@ def test_standardised_errors_are_given_where_a_method_has_a_variance(made):
             assert m.rms_standardised_error == pytest.approx(rms)
 
 
-def test_bytes_count_files_and_numbers(model, made):
+def test_the_size_of_a_method_counts_files_and_stored_numbers(model, made):
     files = sum(model.library.attributes(name).bytes for name in model.names)
     assert method(made, "nearest").bytes == files + 8 * len(model.names)
     assert method(made, "pca_6_identity").bytes == files + 6 * 8 * len(model.names)

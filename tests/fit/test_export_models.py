@@ -53,9 +53,7 @@ def hemisphere(n=64):
     ("roughness", "anisotropic", "rtol"),
     [(0.2, 0.0, 2e-5), (0.5, 0.0, 2e-5), (1.0, 0.0, 2e-5), (0.5, 0.7, 1e-4)],
 )
-def test_a_rough_metal_in_gltf_is_principled_s_but_for_masking_and_what_scatters_between_facets(
-    roughness, anisotropic, rtol, rng
-):
+def test_a_rough_metal_in_gltf_equals_principled_except_for_masking(roughness, anisotropic, rtol, rng):
     # Both are GGX with Schlick's term; Mitsuba's masking is separable, and in single precision.
     view, light = directions(rng, 500), directions(rng, 500)
     values = {
@@ -97,7 +95,7 @@ def test_the_diffuse_of_gltf_loses_what_each_channel_of_its_highlight_reflects()
     np.testing.assert_allclose(np.pi * found[0], 1.0 - np.array([1.0, 0.0, 0.5]) / 9.0, rtol=1e-9)
 
 
-def test_other_metals_are_principled_s_but_for_masking_and_what_scatters_between_facets(rng):
+def test_a_metal_of_every_target_is_close_to_principled_away_from_grazing(rng):
     # At a roughness of 0.3 correlated masking and energy compensation change little away from grazing.
     view, light = directions(rng, 2000), directions(rng, 2000)
     steep = (view[:, 2] > 0.4) & (light[:, 2] > 0.4)
@@ -300,7 +298,7 @@ def test_parameters_stay_in_the_ranges_of_the_targets(rng):
                 assert np.all(np.asarray(value) <= highest), (target.name, key, value)
 
 
-def test_what_a_fit_left_at_principled_s_defaults_is_at_the_target_s():
+def test_parameters_at_principled_defaults_become_defaults_of_the_target():
     plain = PrincipledValues((0.5, 0.4, 0.3), roughness=0.35)
     for target in TARGETS.values():
         made = target.parameters(plain)

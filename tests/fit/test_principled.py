@@ -564,6 +564,6 @@ def test_transforms_invert_and_their_slopes_agree_with_differences():
     np.testing.assert_allclose(layout.slope(t), difference, rtol=1e-6)
 
 
-def test_a_family_is_the_same_after_json():
+def test_a_bsdf_family_is_the_same_after_json():
     family = principled(["base_color", "roughness"])
     assert BsdfFamily.from_json(family.to_json()) == family

@@ -594,7 +594,7 @@ def test_another_format_is_named(content: bytes, name: str, tmp_path: Path) -> N
     assert re.search(f"found an? .*{name}.*, expected an RGL tensor file", text)
 
 
-def test_what_is_no_file_is_one_error(tmp_path: Path) -> None:
+def test_missing_empty_and_unreadable_paths_raise_one_error(tmp_path: Path) -> None:
     (tmp_path / "folder.bsdf").mkdir()
     (tmp_path / "empty.bsdf").touch()
     for name, words in {

@@ -324,7 +324,7 @@ def test_the_ramp_of_a_mini_diff_is_dropped_from_lighttools_files_too(heading, t
     seed=st.integers(0, 2**31),
     writer=st.sampled_from([astm, csv_table]),
 )
-def test_any_readings_survive_tables(pairs, bands, seed, writer, tmp_path):
+def test_random_readings_are_the_same_after_writing_and_reading_a_table(pairs, bands, seed, writer, tmp_path):
     rng = np.random.default_rng(seed)
     w = rng.standard_normal((2, pairs, 3))
     w[..., 2] = np.abs(w[..., 2]) + 1e-3

@@ -85,7 +85,7 @@ def test_pictures_under_the_name_of_no_sample_are_left_out_with_a_note(columns, 
     assert any(f"pictures of '{columns[0][0]}'" in note and "left out" in note for note in one.notes)
 
 
-def test_the_only_pictures_of_a_workbook_of_one_sample_are_its_own_whatever_their_head(tmp_path):
+def test_pictures_in_a_workbook_of_one_sample_belong_to_it_under_any_heading(tmp_path):
     (one,) = read(_workbook(tmp_path / "b.xlsx", ["one"], [[("Image", 60)]]))
     assert _brightness(one) == [60]
 

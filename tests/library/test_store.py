@@ -650,7 +650,7 @@ def test_the_cache_gives_back_what_was_put(library: Library, arrays: dict) -> No
     assert list(library.cache_get("gram-1") or {}) == ["S"]
 
 
-def test_a_damaged_cache_is_no_cache(library: Library, arrays: dict) -> None:
+def test_a_damaged_cache_entry_is_ignored(library: Library, arrays: dict) -> None:
     library.cache_put("gram-1", arrays)
     path = library.path / "cache" / "gram-1" / "S" / "c.0.0"
     path.write_bytes(bytes(200))

@@ -76,7 +76,7 @@ def test_two_colours_are_refused():
         ColourChoice(like="a", srgb="#ffffff")
 
 
-def test_whole_materials_carry_their_colours(model):
+def test_a_gplvm_refuses_a_chosen_colour(model):
     whole = Manifold.fit(model.library, GplvmSettings(), calibrate=False)
     assert whole.choose_colour(whole.X[0], NEAREST).colours is None
     with pytest.raises(UsageError, match="cannot be given"):

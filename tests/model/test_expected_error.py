@@ -82,7 +82,7 @@ def test_a_residual_tells_more_than_the_place(scattered, rng):
     assert spearmanr(of_residual, true)[0] > 0.8 > 0.2 > abs(spearmanr(places.at(x), true)[0])
 
 
-def test_a_material_in_other_colours_at_the_place_of_a_copy_of_another_is_not_expected_to_be_exact(library):
+def test_a_recoloured_material_at_the_point_of_an_exact_copy_has_an_expected_error(library):
     """Copies are found where the other is, without error; what has other colours is not."""
     model = Manifold.fit(library)
     k, left_out = 2, model.left_out.errors
@@ -253,9 +253,7 @@ def test_a_material_in_another_colour_than_its_own_has_an_expected_error(model):
     assert own.expected.ball == 0.0 < other.expected.ball
 
 
-def test_a_model_that_was_calibrated_in_other_lights_expects_nothing_until_it_is_fitted_again(
-    model, library, tmp_path, monkeypatch
-):
+def test_a_model_calibrated_in_other_lights_has_no_expected_errors(model, library, tmp_path, monkeypatch):
     model.save(tmp_path / "model.h5")
     assert Manifold.load(tmp_path / "model.h5", library).left_out is not None
     other = panel.panel((*JUDGED[:4], "sun 120"))
@@ -268,7 +266,7 @@ def test_a_model_that_was_calibrated_in_other_lights_expects_nothing_until_it_is
     assert "embed the library again" in made.rows["expected error"][0]
 
 
-def test_a_model_of_an_earlier_version_expects_nothing_until_it_is_fitted_again(model, library, tmp_path):
+def test_a_model_of_an_earlier_version_has_no_expected_errors(model, library, tmp_path):
     """Such files hold errors in known colours alone."""
     earlier = {name: values for name, values in model.left_out.arrays.items() if "blended" not in name}
     assert LeftOut.from_arrays(earlier, model.space) is None

@@ -219,7 +219,7 @@ def test_only_one_place_of_the_page_speaks_by_itself(page):
     assert control(page, "#exposure").get_attribute("aria-valuetext") == "+0.25 EV"
 
 
-def test_a_move_is_said_once(page):
+def test_a_move_on_the_map_is_announced_once_to_screen_readers(page):
     """Not by the name of the map too, which screen readers read again where it has the focus."""
     page.locator("#map").focus()
     name, said = page.locator("#map").get_attribute("aria-label"), page.locator("#live").text_content()
@@ -687,7 +687,7 @@ def test_the_map_comes_with_its_balls(page, model):
         assert np.allclose(page.evaluate(pixel, k), page.evaluate(drawn, k), rtol=0, atol=12)  # coarser light
 
 
-def test_a_finer_ball_takes_the_place_of_that_before(page):
+def test_a_finer_ball_replaces_the_coarse_one_on_the_map(page):
     shown = page.evaluate("""() => { const { map } = explorer, before = map.images[2];
       const flat = document.createElement("canvas");
       const show = (image) => { map.showMaterial(2, image); explorer.drawMap(); };

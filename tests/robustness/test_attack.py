@@ -14,7 +14,7 @@ from attack.mutations import of_bytes, of_text
 from helpers.paths import REPOSITORY
 
 
-def test_what_a_case_must_not_do_is_told(tmp_path):
+def test_the_sandbox_reports_crashes_exceptions_and_memory(tmp_path):
     def crash() -> None:
         os.kill(os.getpid(), signal.SIGKILL)
 

@@ -40,7 +40,7 @@ def test_dominators_are_those_of_the_definition(costs, data):
 
 
 @given(COSTS)
-def test_without_tolerance_whatever_is_off_the_front_is_dominated_by_one_that_is_on_it(costs):
+def test_without_tolerance_settings_off_the_front_are_dominated_by_one_on_it(costs):
     on = front(costs)
     assert on.any()
     for row, others in enumerate(dominators(costs)):

@@ -234,7 +234,7 @@ def test_marks_are_as_frequent_in_a_texture_as_in_the_sample(rng):
     assert density(texture) == pytest.approx(density(sample), rel=0.2)
 
 
-def test_a_single_speck_is_left_out_as_dust_and_noted_but_several_alike_and_large_parts_stay(rng):
+def test_a_single_speck_is_removed_as_dust_but_repeated_spots_and_large_areas_stay(rng):
     logs = 0.05 * rough(rng)[..., None] * np.ones(3)
     logs[41:46, 61:66] += np.array([1.0, -1.0, 0.0])
     for row, column in ((30, 200), (120, 40), (150, 180)):

@@ -106,7 +106,7 @@ def _lit_from_below(mi, material):
     return mi.load_dict(under_lamp(mi, plane, in_plane(40.0)))
 
 
-def test_spectra_of_points_have_the_colours_that_were_seen_and_that_of_the_mean_in_the_mean(rng):
+def test_estimated_spectra_of_points_have_their_measured_colours(rng):
     nm = np.arange(400.0, 701.0, 10.0)
     bands = Bands(tuple(nm.tolist()))
     mean = 0.3 + 0.2 * np.sin(nm / 50.0)

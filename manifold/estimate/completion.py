@@ -14,6 +14,7 @@ from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000_lab, lab_values
 from manifold.core.directions import angles_from_mirror
 from manifold.core.metrics import Errors
+from manifold.core.names import percent
 from manifold.core.records import Array, Bands, Mask
 from manifold.estimate.atoms import LibraryAtoms, ball_coordinates, grid_coordinates, shown_shares
 from manifold.estimate.channels import Channels
@@ -475,6 +476,7 @@ class Completion:
                 *self._too_dark(),
                 *of_gloss,
                 *self._unexplained(),
+                *self._contradicting(),
                 *self._unread(),
                 *self.readings.notes,
             ]
@@ -538,6 +540,19 @@ class Completion:
             f"no mixture of two materials explains the readings (residual {100.0 * self.residual_of_mixtures:.0f} "
             f"% before the combination is adjusted to them, {100.0 * self.residual_of_readings:.1f} % "
             f"after; most at {self._worst_reading()}): the result follows them, and other directions are uncertain"
+        ]
+
+    def _contradicting(self) -> list[str]:
+        """Return a sentence if readings of different incidences contradict each other."""
+        if self.factors is None or not self.factors.own_of_incidence:
+            return []
+        if self.colour_misfits is None:
+            most = f"{percent(self.misfits.max())} of cube roots"
+        else:
+            most = f"CIEDE2000 {self.colour_misfits.max():.1f} ({self.viewing})"
+        return [
+            "readings at exchanged directions contradict each other: no reciprocal, isotropic material has both, so "
+            f"the result follows their mean and differs from one by up to {most}; check the instrument's position"
         ]
 
     def _worst_reading(self) -> str:

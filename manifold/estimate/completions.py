@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -62,6 +61,7 @@ class Completed(Result):
         completion: with errors at the readings that are those of the file.
         correction: of a second instrument's colours, learned from its readings; None where there was none to learn.
         plausibility: of the written file, read back; None without one.
+        left_out_readings: errors of predicting each reading from the others; None without readings, or for many.
         next_readings: to take, of which those that were asked for are `suggested`; None if nothing calls for any.
         count: how many were asked for.
         diagnostics: what a user should know before trusting it, in sentences.
@@ -155,11 +155,12 @@ class Completed(Result):
         """CIEDE2000 between every reading and the completion there, (P,); None without colours."""
         return None if self._readings is None else self.completion.colour_misfits
 
-    @cached_property
-    @derived(row="readings left out", words=lambda result: result.left_out_in_words(), is_detail=True)
-    def left_out_readings(self) -> LeftOutReadings | None:
-        """Errors of predicting each reading from the others; None without readings, or for many."""
-        return None if self._readings is None else left_out_readings(self.completion)
+    left_out_readings: LeftOutReadings | None = field(
+        default=None,
+        metadata=entry(
+            row="readings left out", words=lambda result: result.left_out_in_words(), is_detail=True
+        ),
+    )
 
     def left_out_in_words(self) -> str | None:
         """Return the median and largest error of readings that the others predict; None without any."""
@@ -502,7 +503,8 @@ def complete(
         shares |= {"reading pictures": 1, "completing": 3, "expected error": 5, "suggesting": 3}
     stages, opened = Stages(shares), Library(library)
     completion, calibration, balls = observe(opened, stages, readings, gloss, pictures)
-    expected = calibration.expected(completion)
+    left_out = None if readings is None else left_out_readings(completion)
+    expected = calibration.expected(completion, left_out)
     next_readings = None
     if not balls and (count or unreliable(expected)):
         next_readings = suggest(completion.atoms, max(count, 1), completion, instrument)
@@ -533,13 +535,15 @@ def complete(
         _of_unit(readings, written.plausibility)
         + written.notes
         + notes_of(completion, calibration, balls)
+        + _of_left_out(expected, left_out)
         + ("the residual of pixels is that of the material before it was made physical",)
         * bool(balls and written.projection)
     )
     made: dict[str, Any] = {
         "path": output, "picture": picture, "completion": completion, "correction": correction,
         "expected": written.expected(expected), "plausibility": written.plausibility, "next_readings": next_readings,
-        "count": count, "diagnostics": assumptions_first(notes), "seconds": time.perf_counter() - start,
+        "count": count, "left_out_readings": left_out, "diagnostics": assumptions_first(notes),
+        "seconds": time.perf_counter() - start,
     }  # fmt: skip
     return Photographed(**made, balls=balls, plan=plan) if balls else Completed(**made)
 
@@ -604,6 +608,16 @@ def _unit(readings: Readings | None) -> str | None:
     if readings is None or readings.unit_note is None:
         return None
     return words.get(readings.assumed_unit or "")
+
+
+def _of_left_out(expected: Errors[float], left_out: LeftOutReadings | None) -> tuple[str, ...]:
+    """Return a note if readings that the others predict raised the expected error of the ball."""
+    if left_out is None or left_out.typical.ball != expected.ball:
+        return ()
+    return (
+        f"readings that the others predict are off by CIEDE2000 {expected.ball:.2g} in the median, more than the ball "
+        "of a similar library material: this is its expected error",
+    )
 
 
 def _of_unit(readings: Readings | None, plausibility: Plausibility) -> tuple[str, ...]:

@@ -20,11 +20,12 @@ from manifold.core.threads import one_blas_thread, share_out
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.completion import NOISY, Completion
 from manifold.estimate.evidence import Evidence, channel_atoms, clipping, nearest_bands
+from manifold.estimate.left_out_readings import LeftOutReadings
 from manifold.formats.readings import Readings
 from manifold.library.store import Library
 from manifold.model.expected_error import BELOW_TWICE
 
-CALIBRATION_VERSION = 3
+CALIBRATION_VERSION = 4
 """Raised where completions, or errors of left-out materials, change: calibrations that are stored are stale then."""
 
 _KINDS = ("ball", "scaled_ball", "cube_root", "linear", "near_mirror", "elsewhere")  # some may be unknown
@@ -81,17 +82,19 @@ class Calibration:
         medians = ", ".join(self.errors.median.words)
         return f"<Calibration: {len(self.residuals)} materials left out, medians: {medians}>"
 
-    def expected(self, completion: Completion) -> Errors[float]:
+    def expected(self, completion: Completion, left_out: LeftOutReadings | None = None) -> Errors[float]:
         """Return the expected errors of a completion from these observations.
 
-        They are its plausible errors times factors, see `factors`. Where the residual is larger than that of any
+        They are its plausible errors times factors, see `_factor`. Where the residual is larger than that of any
         left-out material, errors grow in proportion to it. The error of colours that were estimated from three bands,
-        or that repeated readings leave open, is added to that of the ball.
+        or that repeated readings leave open, is added to that of the ball. None is smaller than the median error of
+        readings that the others predict, if these are given.
         """
         found = self.at(plausible_errors(completion), completion.residual)
         if not completion.is_brightness_guessed:
             found = replace(found, scaled_ball=np.nan)
-        return found.beside(Errors(ball=completion.colour_error))
+        found = found.beside(Errors(ball=completion.colour_error))
+        return found if left_out is None else found.at_least(left_out.typical)
 
     def at(self, plausible: Errors[float], residual: float) -> Errors[float]:
         """Return the expected errors at some plausible errors and a residual."""

@@ -2,6 +2,9 @@
 
 Non-negative weights reach only what lies between atoms: with many readings a residual is left on which neighbouring
 readings agree. It is applied as a factor of the cube roots, so that they stay non-negative.
+
+Readings at several incidences can contradict each other: no reciprocal BRDF meets them all. The residual then has a
+part that every incidence has for itself, like an error of the instrument, which is not applied.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ import numpy as np
 
 from manifold.brdf.interface import BRDF
 from manifold.brdf.wrapper import WrappedBRDF
+from manifold.core.defaults import TINY
 from manifold.core.directions import half_vector
 from manifold.core.records import Array, Indices
 
@@ -32,6 +36,9 @@ _LENGTHS = np.array([0.12, 0.3, 0.3])  # correlation lengths of the three coordi
 _MOST = 0.5  # relative residual: larger ones come from a wrong mixture, and say nothing of nearby directions
 _CELL = 0.5  # width of a cell, whose readings are averaged, in correlation lengths
 _MOST_CELLS = 256
+_CONTRADICTION = (
+    3.0  # standard deviations: of 131 neural fits, which are reciprocal, 4 exceed it from an MA-T12
+)
 _BLOCK = 4096  # direction pairs at a time
 
 
@@ -42,10 +49,13 @@ class ResidualFactors:
     Attributes:
         centres: coordinates of C readings, or of averages of some, shape (C, 3).
         strength: of each in every band, shape (B, C).
+        own_of_incidence: variance of what every incidence has for itself, over that of what they share; 0 if readings
+            of different incidences do not contradict each other.
     """
 
     centres: Array
     strength: Array
+    own_of_incidence: float = 0.0
 
     def at(self, where: Array) -> Array:
         """Return factors, from 1/2 to 2, at coordinates (M, 3); shape (B, M)."""
@@ -89,14 +99,20 @@ def coordinates(wi: Array, wo: Array) -> Array:
 
 
 def residual_factors(
-    measured: Array, predicted: Array, where: Array, weights: Array, repeatability: float
+    measured: Array,
+    predicted: Array,
+    where: Array,
+    incidences_deg: Array,
+    weights: Array,
+    repeatability: float,
 ) -> ResidualFactors:
     """Return the factors by which measured cube roots (B, P) at coordinates (P, 3) differ from their prediction.
 
-    NaN marks missing readings.
+    NaN marks missing readings. They are at some incidences (P,).
 
-    They meet the readings, of some weights (P,), within the repeatability of these, the relative standard deviation of
-    a value that is read again, a third of which is that of its root; or within what neighbours scatter if that is more.
+    The factors meet the readings, of some weights (P,), within the repeatability of these, the relative standard
+    deviation of a value that is read again, a third of which is that of its root; or within what neighbours scatter if
+    that is more. Readings that contradict those of other incidences are met within what their incidence has for itself.
 
     Source: Rasmussen & Williams 2006, eq. 2.25; the kernel is squared exponential.
     """
@@ -110,16 +126,50 @@ def residual_factors(
         for rows in (is_known * weights, np.where(is_known, residual, 0.0) * weights)
     )
     shares = weights + np.finfo(float).tiny
-    centres = np.array([np.bincount(cell, shares * axis, count) for axis in where.T]).T
-    centres /= np.bincount(cell, shares, count)[:, None]
-    of_centres = _with_own(centres, centres)
+    of_cell = np.bincount(cell, shares, count)
+    centres = np.array([np.bincount(cell, shares * axis, count) for axis in where.T]).T / of_cell[:, None]
     noise = _noise(np.where(is_known, residual, 0.0), is_known * weights, sums, totals, repeatability)
+    shared, of_centres = covariance(centres, centres), _with_own(centres, centres)
+    is_same = _same_incidence(cell, shares / of_cell[cell], incidences_deg)
+    is_near = np.triu((shared > np.exp(-0.5 * _CELL**2)) & (is_same < 0.5), 1)
+    own_of_incidence = _own_of_incidence(sums, totals, noise, of_centres, np.argwhere(is_near).T)
+    of_centres += own_of_incidence * shared * is_same
     strength = np.zeros((len(measured), count))
     for mask in np.unique(totals, axis=0):
         used, rows = np.flatnonzero(mask > 0.0), np.flatnonzero((totals == mask).all(axis=1))
         K = of_centres[np.ix_(used, used)] + np.diag(noise / mask[used])
         strength[np.ix_(rows, used)] = np.linalg.solve(K, (sums[np.ix_(rows, used)] / mask[used]).T).T
-    return ResidualFactors(centres, strength)
+    return ResidualFactors(centres, strength, own_of_incidence)
+
+
+def _same_incidence(cell: Indices, shares: Array, incidences_deg: Array) -> Array:
+    """Return the share of pairs of readings of two cells that have the same incidence, to a degree, shape (C, C).
+
+    Readings are in cells (P,), of which each is a share (P,).
+    """
+    _, incidence = np.unique(np.round(incidences_deg), return_inverse=True)
+    of_cells = np.zeros((int(cell.max()) + 1, int(incidence.max()) + 1))
+    np.add.at(of_cells, (cell, incidence), shares)
+    return np.asarray(of_cells @ of_cells.T)
+
+
+def _own_of_incidence(sums: Array, totals: Array, noise: float, K: Array, pairs: Indices) -> float:
+    """Return the variance of what every incidence has for itself, over that of what they share.
+
+    It is estimated from pairs of near cells of different incidences, indices (2, M): their residuals differ by
+    more than their distance and the noise explain. It is 0 unless they differ by more than `_CONTRADICTION`. Sums of
+    residuals over cells and of their weights have shape (B, C); K (C, C) is the covariance of their means over the
+    variance of the shared part.
+    """
+    is_read = totals > 0.0
+    means = np.divide(sums, totals, out=np.zeros_like(sums), where=is_read)
+    both = is_read[:, pairs[0]] & is_read[:, pairs[1]]  # [B, M]
+    if not both.any():
+        return 0.0
+    variance = max(float(np.sum(means**2) / is_read.sum() / K[0, 0]), TINY**2)
+    expected = (K[0, 0] - K[pairs[0], pairs[1]] + noise)[None].repeat(len(means), axis=0)[both]
+    found = 0.5 * (means[:, pairs[0]] - means[:, pairs[1]])[both] ** 2 / variance
+    return float(np.mean(found - expected)) if np.mean(found / expected) > _CONTRADICTION**2 else 0.0
 
 
 def _with_own(a: Array, b: Array) -> Array:

@@ -158,9 +158,12 @@ def _solve_readings(atoms: LibraryAtoms, evidence: Evidence, usable: Mask | None
         read, atoms.gram, hypotheses.mean, allowed if usable is None else allowed & usable
     )
     mixed, glossy = combined @ at[0], combined @ at[1]
+    incidences_deg = np.append(
+        np.rad2deg(np.arccos(np.clip(readings.wi[:, 2], -1.0, 1.0))), list(evidence.gloss)
+    )
     factors = residual_factors(
         np.hstack([read.material, gloss.scaled(glossy)]), np.hstack([mixed, glossy]), all_where,
-        np.append(readings.weights, ones), readings.repeatability,
+        incidences_deg, np.append(readings.weights, ones), readings.repeatability,
     )  # fmt: skip
     return Solution(evidence, combined, (hypotheses,), factors=factors)
 

@@ -6,7 +6,7 @@ import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import ContextDecorator, contextmanager
 from functools import lru_cache
 from importlib import import_module
 from typing import Any, TypeVar
@@ -128,7 +128,7 @@ def _blas() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-class _OneBlasThread:
+class _OneBlasThread(ContextDecorator):
     """The limit of several users at once: set by the first, taken back by the last, since it is the process's."""
 
     def __init__(self) -> None:
@@ -149,7 +149,9 @@ class _OneBlasThread:
 
 
 one_blas_thread = _OneBlasThread()
-"""A context in which BLAS keeps to one thread; threads may enter it at the same time, and it may be nested.
+"""A context, or decorator, in which BLAS keeps to one thread; it may be nested.
+
+Threads may enter it at the same time.
 
 Sharing out 200 x 200 entries costs ten times the work itself, and every level of threads above it once more.
 """

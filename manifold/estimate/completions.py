@@ -24,6 +24,7 @@ from manifold.core.names import counted, first_few, percent
 from manifold.core.progress import Stages
 from manifold.core.records import Array
 from manifold.core.results import Result, derived, entry
+from manifold.core.threads import one_blas_thread
 from manifold.estimate import instruments
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.channels import Channels
@@ -392,6 +393,7 @@ class Photographed(Completed):
         return {names.get(name, name): off for name, off in self.completion.contributions.items()}
 
 
+@one_blas_thread
 def observe(
     library: Library,
     stages: Stages,

@@ -208,6 +208,7 @@ _TEMPERED = (
 _STRENGTHS = 4.0 ** np.arange(6)  # strengths to try for clipped spots, in addition to the clipped value
 _FINER = 2.0 ** np.linspace(-0.8, 0.8, 5)  # about the best of these
 _ROUNDS, _SETTLED = 8, 0.01  # rounds of gains and weights in turn, and largest change of the last
+_EXPOSED = 2  # first rounds that estimate the common exposure; further ones change it by less than 2 %
 _KEEP_VALUES = 1e-3  # weight of squared changes over all directions against those of pixels, both relative
 _DARK = 0.05  # share of the root mean square of cube roots: changes of darker directions cost no more
 
@@ -225,8 +226,8 @@ def solve_pictures(atoms: LibraryAtoms, evidence: Evidence, usable: Mask | None 
         exposures = alone.exposures * (scale if evidence.exposure is None else 1.0)
     least = max(MODEL_ERROR, contradiction)
     noise = np.full(len(exposures), least)
-    for _ in range(_ROUNDS):
-        if evidence.exposure is None and not evidence.of_readings:
+    for k in range(_ROUNDS):
+        if evidence.exposure is None and not evidence.of_readings and k < _EXPOSED:
             gains = relative(exposures)
             exposures = probable_exposure(atoms, evidence, gains, usable) * gains
         channels = evidence.under(exposures, noise)

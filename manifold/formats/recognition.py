@@ -96,7 +96,8 @@ def require_no_export(path: Path) -> None:
     raise UsageError(
         f"{path}: a file for engines, which is not read back, expected its material; `manifold export MATERIAL "
         "--target NAME --picture` states the error of the export and draws both"
-        + f"; `manifold info {path.name}` states that of this file" * is_json
+        + f"; `manifold info {path.name}` states that of this file"
+        * is_json
     )
 
 

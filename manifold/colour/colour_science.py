@@ -41,9 +41,6 @@ def cached(name: str, key: str, compute: Callable[[], Any]) -> Any:
 OBSERVER = "CIE 1931 2 Degree Standard Observer"
 """The colour-matching functions behind XYZ and sRGB, by their name in colour-science."""
 
-WIDE_OBSERVER = "CIE 1964 10 Degree Standard Observer"
-"""Those of the 10 degree observer."""
-
 
 @lru_cache(maxsize=1)
 def colour_science() -> ModuleType:
@@ -67,27 +64,24 @@ class StandardTables:
     Attributes:
         illuminants: wavelengths in nm and relative power, shape (K,) each, by name.
         observer: wavelengths in nm, shape (K,), and colour-matching functions, shape (K, 3).
-        wide_observer: likewise, of the 10 degree observer.
         bradford: from XYZ to the cone responses that adaptation scales, shape (3, 3).
     """
 
     illuminants: Mapping[str, tuple[Array, Array]]
     observer: tuple[Array, Array]
-    wide_observer: tuple[Array, Array]
     bradford: Array
 
 
 @lru_cache(maxsize=1)
 def standard_tables() -> StandardTables:
     """Return illuminants, observer and matrices, cached per version of colour-science, which is slow to import."""
-    names = ("illuminants", "observer", "wide_observer", "bradford")
+    names = ("illuminants", "observer", "bradford")
     key = f"{', '.join(names)} of colour-science {metadata.version('colour-science')}"
     values = cached("colour-science.json", key, _standard_values)
-    illuminants, observer, wide_observer, bradford = (values[name] for name in names)
+    illuminants, observer, bradford = (values[name] for name in names)
     return StandardTables(
         {name: _pair(*table) for name, table in illuminants.items()},
         _pair(*observer),
-        _pair(*wide_observer),
         frozen(np.array(bradford)),
     )
 
@@ -98,9 +92,14 @@ def _standard_values() -> dict[str, Any]:
     return {
         "illuminants": {name: [a.tolist() for a in table] for name, table in tables.items()},
         "observer": [a.tolist() for a in distribution(colour.MSDS_CMFS[OBSERVER])],
-        "wide_observer": [a.tolist() for a in distribution(colour.MSDS_CMFS[WIDE_OBSERVER])],
         "bradford": colour.adaptation.CHROMATIC_ADAPTATION_TRANSFORMS["Bradford"].tolist(),
     }
+
+
+@lru_cache(maxsize=1)
+def wide_observer() -> tuple[Array, Array]:
+    """Return wavelengths in nm, shape (K,), and colour-matching functions (K, 3) of the 10 degree observer."""
+    return distribution(colour_science().MSDS_CMFS["CIE 1964 10 Degree Standard Observer"])
 
 
 def _pair(first: list[Any], second: list[Any]) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from manifold.colour.colour_science import frozen, standard_tables
+from manifold.colour.colour_science import frozen, standard_tables, wide_observer
 from manifold.colour.illuminants import Illuminant
 from manifold.core.errors import ShapeError, UsageError
 from manifold.core.records import Array, Bands, BsdfFile
@@ -128,7 +128,7 @@ def sensor_responses(illuminant: Illuminant, observer_deg: int = 2) -> tuple[Arr
     """
     if observer_deg not in (2, 10):
         raise UsageError(f"an observer of {observer_deg} degrees, expected 2 (CIE 1931) or 10 (CIE 1964)")
-    nodes, matching = standard_tables().observer if observer_deg == 2 else standard_tables().wide_observer
+    nodes, matching = standard_tables().observer if observer_deg == 2 else wide_observer()
     stimulus = illuminant.at(nodes)[:, None] * matching
     total = stimulus[:, 1].sum()
     if total <= 0.0:

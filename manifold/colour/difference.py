@@ -27,19 +27,6 @@ VISIBLE = (
 )
 ITP_WHITE_CD_M2 = 100.0  # luminance of white on the display that Delta E_ITP is about
 ILLUMINANTS = ("D65", "A", "F11")
-_BT_2020 = np.array(
-    [
-        [1.7166511879712678, -0.35567078377639244, -0.2533662813736598],
-        [-0.6666843518324888, 1.6164812366349386, 0.015768545813911117],
-        [0.01763985744531079, -0.04277061325780853, 0.9421031212354739],
-    ]
-)
-_TO_CONES = (
-    np.array([[1688, 2146, 262], [683, 2951, 462], [99, 309, 3688]]) / 4096.0 @ _BT_2020
-)  # BT.2100, from XYZ
-_TO_ITP = (
-    np.array([[2048, 2048, 0], [3305, -6806.5, 3501.5], [17933, -17390, -543]]) / 4096.0
-)  # T is half of Ct
 
 
 def multi_angle_pairs() -> tuple[Array, Array]:
@@ -71,17 +58,9 @@ def colour_differences(f: Array, f_star: Array, bands: Bands, illuminant: str) -
 
 
 def to_lab(xyz: Array, white: Array) -> Array:
-    """Convert CIE XYZ (..., 3) seen under a white (3,) with Y = 1 to CIELAB (..., 3).
-
-    Source: CIE 15:2004, section 8.2.1.
-    """
-    relative = np.asarray(xyz) / (np.asarray(white) / white[1])
-    x, y, z = np.moveaxis(
-        np.where(relative > 216.0 / 24389.0, np.cbrt(relative), (24389.0 / 27.0 * relative + 16.0) / 116.0),
-        -1,
-        0,
-    )
-    return np.stack([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)], axis=-1)
+    """Convert CIE XYZ (..., 3) seen under a white (3,) with Y = 1 to CIELAB (..., 3)."""
+    white = np.asarray(white)
+    return np.asarray(colour_science().XYZ_to_Lab(np.asarray(xyz), white[:2] / np.sum(white)))
 
 
 def lab_values(f: Array, bands: Bands, viewing: Viewing = DAYLIGHT) -> Array:
@@ -123,29 +102,8 @@ def delta_e_2000(xyz: Array, xyz_star: Array, white: Array) -> Array:
 
 
 def delta_e_2000_lab(lab: Array, lab_star: Array) -> Array:
-    """Return CIEDE2000 between CIELAB colours (..., 3), shape (...).
-
-    Source: Sharma, Wu & Dalal 2005, eqs. 2 to 22.
-    """
-    (L1, a1, b1), (L2, a2, b2) = (np.moveaxis(np.asarray(c, np.float64), -1, 0) for c in (lab, lab_star))
-    chroma = (np.hypot(a1, b1) + np.hypot(a2, b2)) / 2.0
-    stretched = 1.5 - 0.5 * np.sqrt(chroma**7 / (chroma**7 + 25.0**7))
-    a1, a2 = stretched * a1, stretched * a2
-    C1, C2 = np.hypot(a1, b1), np.hypot(a2, b2)
-    h1, h2 = (np.degrees(np.arctan2(b, a)) % 360.0 for a, b in ((a1, b1), (a2, b2)))
-    is_grey = C1 * C2 == 0.0
-    apart = np.where(is_grey, 0.0, (h2 - h1 + 180.0) % 360.0 - 180.0)
-    dH = 2.0 * np.sqrt(C1 * C2) * np.sin(np.radians(apart) / 2.0)
-    h = np.where(is_grey, h1 + h2, h1 + apart / 2.0)
-    L, C = (L1 + L2) / 2.0, (C1 + C2) / 2.0
-    terms = ((-0.17, 1.0, -30.0), (0.24, 2.0, 0.0), (0.32, 3.0, 6.0), (-0.20, 4.0, -63.0))
-    T = 1.0 + sum(share * np.cos(np.radians(times * h + shift)) for share, times, shift in terms)
-    S_L = 1.0 + 0.015 * (L - 50.0) ** 2 / np.sqrt(20.0 + (L - 50.0) ** 2)
-    S_C, S_H = 1.0 + 0.045 * C, 1.0 + 0.015 * C * T
-    turn = 60.0 * np.exp(-((((h % 360.0) - 275.0) / 25.0) ** 2))
-    R_T = -2.0 * np.sqrt(C**7 / (C**7 + 25.0**7)) * np.sin(np.radians(turn))
-    dL, dC, dH = (L2 - L1) / S_L, (C2 - C1) / S_C, dH / S_H
-    return np.asarray(np.sqrt(np.maximum(dL**2 + dC**2 + dH**2 + R_T * dC * dH, 0.0)))
+    """Return CIEDE2000 between CIELAB colours (..., 3), shape (...)."""
+    return np.asarray(colour_science().delta_E(lab, lab_star, method="CIE 2000"))
 
 
 def delta_e_itp(xyz: Array, xyz_star: Array) -> Array:
@@ -153,12 +111,8 @@ def delta_e_itp(xyz: Array, xyz_star: Array) -> Array:
 
     A difference of 1 is just visible.
 
-    Source: ITU-R BT.2124, annex 1; BT.2100, table 4, for the perceptual quantiser.
+    Source: ITU-R BT.2124.
     """
-    itp = []
-    for c in (xyz, xyz_star):
-        cones = ITP_WHITE_CD_M2 / 1e4 * np.maximum(c, 0.0) @ _TO_CONES.T
-        power = np.maximum(cones, 0.0) ** (1305.0 / 8192.0)
-        quantised = ((107.0 + 2413.0 * power) / (128.0 + 2392.0 * power)) ** (2523.0 / 32.0)
-        itp.append(quantised @ _TO_ITP.T)
-    return np.asarray(720.0 * np.linalg.norm(itp[0] - itp[1], axis=-1))
+    colour = colour_science()
+    ictcp = [colour.XYZ_to_ICtCp(ITP_WHITE_CD_M2 * np.maximum(c, 0.0)) for c in (xyz, xyz_star)]
+    return np.asarray(colour.difference.delta_E_ITP(*ictcp))

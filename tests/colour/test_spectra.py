@@ -10,7 +10,7 @@ import warnings
 import numpy as np
 import pytest
 
-from manifold.colour.colour_science import OBSERVER, WIDE_OBSERVER, standard_tables
+from manifold.colour.colour_science import OBSERVER, standard_tables
 from manifold.colour.conversion import (
     SRGB_TO_XYZ,
     InvisibleBandsWarning,
@@ -130,7 +130,6 @@ def test_standard_tables_are_those_of_colour_science(tmp_path, monkeypatch):
         assert list(tables.illuminants) == list(colour.SDS_ILLUMINANTS), made
         np.testing.assert_array_equal(tables.illuminants["D65"][1], colour.SDS_ILLUMINANTS["D65"].values)
         np.testing.assert_array_equal(tables.observer[1], colour.MSDS_CMFS[OBSERVER].values)
-        np.testing.assert_array_equal(tables.wide_observer[1], colour.MSDS_CMFS[WIDE_OBSERVER].values)
     standard_tables.cache_clear()
     srgb = colour.RGB_COLOURSPACES["sRGB"]
     matrix = colour.normalised_primary_matrix(srgb.primaries, srgb.whitepoint)

@@ -4,6 +4,7 @@
     python benchmarks/bench_photo.py FOLDER --lights sky room --variants --expected
     python benchmarks/bench_photo.py FOLDER --lights overcast --every 3 --json FILE      # rows are added to those there
     python benchmarks/bench_photo.py FOLDER --together        # twelve readings, one photograph, and both
+    python benchmarks/bench_photo.py built-in                  # of the built-in library
     python benchmarks/bench_photo.py --spectral                # spectra of the built-in corpus from RGB pictures
 
 Mitsuba renders the ball of every file, 256 pixels across, with noise, clipped at display white; what was found without
@@ -29,6 +30,7 @@ from manifold.brdf.plausibility import plausibility_of_file
 from manifold.colour.conversion import decode_srgb, encode_srgb
 from manifold.colour.lights import ENVIRONMENTS, environment
 from manifold.colour.reflectances import srgb_spectra
+from manifold.core import shipped
 from manifold.core.metrics import Errors
 from manifold.core.records import Array
 from manifold.estimate.atoms import LibraryAtoms
@@ -217,11 +219,18 @@ def expected_beside(true: list[tuple[float, ...]], expected: list[list[float]]) 
 
 def real(folder: Path, options: argparse.Namespace) -> None:
     """The table of measured files."""
+    if folder == shipped.BUILT_IN:
+        with TemporaryDirectory() as temporary:
+            library = Library(folder)
+            for name in library.names:
+                write_bsdf(Path(temporary, f"{name}_rgb.bsdf"), library.read(name))
+            real(Path(temporary), options)
+        return
     files = sorted(folder.glob("*.bsdf"))
     with TemporaryDirectory() as temporary:
-        library = Path(temporary) / "library.zarr"
-        import_files(library, files)
-        atoms = LibraryAtoms.of_library(Library(library)).in_values
+        imported = Path(temporary) / "library.zarr"
+        import_files(imported, files)
+        atoms = LibraryAtoms.of_library(Library(imported)).in_values
     by_name = {read_bsdf(path).name: path for path in files}
     files = [by_name[name] for name in atoms.names]
     chosen = range(0, len(files), options.every)

@@ -148,6 +148,7 @@ RESULTS = {
     "compact": Result("bench_compact.py FILES"),
     "inspection": Result("bench_inspection.py --files FILES"),
     "photo": Result("bench_photo.py FILES"),
+    "built_in_photo": Result("bench_photo.py built-in --lights studio"),
     "together": Result("bench_photo.py FILES --lights studio --together"),
     "lamps": Result("bench_lamps.py --files FILES --library LIBRARY --lights sun --every 2"),
     "surface": Result("bench_surface.py WORKBOOK_FOLDER LIBRARY"),

@@ -32,7 +32,7 @@ Metric = Literal["appearance", "cube-root", "linear", "log"]
 def fit(
     sources: Annotated[
         list[str] | None,
-        typer.Argument(help="A .bsdf file, a file of readings, a material of the library, or a place on the map; or "
+        typer.Argument(help="A .bsdf file, a file of readings, a material of the library, or a point on the map; or "
         "several, folders of .bsdf files, or libraries.", metavar="MATERIAL"),
     ] = None,
     colour: options.ColourOptions = options.OWN_COLOUR,
@@ -89,10 +89,10 @@ def fit(
 
     materials = options.material_sources(sources or [], model, library, colour=colour)
     if not materials:
-        raise UsageError("no material is given; give files, materials of the library, or places on the map")
+        raise UsageError("no material is given; give files, materials of the library, or points on the map")
     places = [source for source in materials if isinstance(source, PlaceSource)]
     if places and sample is not None:
-        raise UsageError("--sample goes with a file of readings; leave it or the places out")
+        raise UsageError("--sample goes with a file of readings; leave it or the points out")
     if sample is not None and len(materials) > 1:
         raise UsageError(f"sample {sample} of {len(materials)} files, expected one file; name one")
     if bsdf is not None and (free is not None or wide_colours):
@@ -168,7 +168,7 @@ def export(
     sources: Annotated[
         list[str] | None,
         typer.Argument(
-            help="The JSON of a fit; or a .bsdf file, a material of the library, or a place on the map, which is "
+            help="The JSON of a fit; or a .bsdf file, a material of the library, or a point on the map, which is "
             "fitted; or several, a library or folder of them.",
             metavar="SOURCE",
             show_default=False,
@@ -243,7 +243,7 @@ def export(
     if not sources:
         if pack is None:
             raise UsageError(
-                "no material is given; give one: a file, a name, or a place such as -0.3,1.2 or FROM:TO:T"
+                "no material is given; give one: a file, a name, or a point such as -0.3,1.2 or FROM:TO:T"
             )
         sources = [str(library or options.DEFAULT_LIBRARY)]
     materials = options.material_sources(sources, model, library, colour=colour)

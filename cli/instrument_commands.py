@@ -25,7 +25,7 @@ def convert(
     inputs: Annotated[
         list[str],
         typer.Argument(
-            help="A file; the files of one sample, one per incidence; a material of the library; or a place on the "
+            help="A file; the files of one sample, one per incidence; a material of the library; or a point on the "
             "map. If OUT is a folder: several of these, folders, patterns or libraries.",
             metavar="IN",
         ),

@@ -264,7 +264,7 @@ def info(
         str,
         typer.Argument(
             help="A .bsdf file or an instrument's file, a library, a model, or a fit's JSON; a material of the "
-            "library; or a place on the map (X,Y or FROM:TO:T).",
+            "library; or a point on the map (X,Y or FROM:TO:T).",
             metavar="PATH",
         ),
     ] = str(options.DEFAULT_LIBRARY),
@@ -322,7 +322,7 @@ def find(
     material: Annotated[
         str | None,
         typer.Argument(
-            help="A file of a BRDF or of readings, a material of the library, or a place on the map (X,Y or "
+            help="A file of a BRDF or of readings, a material of the library, or a point on the map (X,Y or "
             "FROM:TO:T).",
             metavar="MATERIAL",
             show_default=False,

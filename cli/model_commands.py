@@ -43,14 +43,14 @@ Kind = Literal["blend", "gplvm"]
 MaterialsArgument = Annotated[
     list[str],
     typer.Argument(
-        help="A .bsdf file, a material of the library, or a place on the map; or several, folders, or libraries.",
+        help="A .bsdf file, a material of the library, or a point on the map; or several, folders, or libraries.",
         metavar=options.MATERIAL,
     ),
 ]
 OptionalMaterialsArgument = Annotated[
     list[str] | None,
     typer.Argument(
-        help="A .bsdf file, a material of the library, or a place on the map; or several, folders, or libraries.",
+        help="A .bsdf file, a material of the library, or a point on the map; or several, folders, or libraries.",
         metavar=options.MATERIAL,
         show_default=False,
     ),
@@ -356,7 +356,7 @@ def predict(
 
     The colour is blended from the surrounding materials, unless --like, --reflectance or --srgb sets another.
     --lightness, --chroma and --hue change it; --gloss changes only the coat, not the layer below. If a file or a step
-    of a walk is given, these options edit its values; `manifold locate` finds the place of a file on the map.
+    of a walk is given, these options edit its values; `manifold locate` finds the point of a file on the map.
     `--latent X,Y` is equivalent to the argument X,Y.
     """
     from manifold.estimate import predictions
@@ -368,7 +368,7 @@ def predict(
     written = OutputOptions(physical, terminal.is_strict(), resolution, incidences)
     if None not in (place, latent):
         raise UsageError(
-            f"found two places, {place} and --latent {latent}, expected one; coordinates have commas and no "
+            f"found two points, {place} and --latent {latent}, expected one; coordinates have commas and no "
             "blanks, such as 0.3,1.2"
         )
     latent = latent if place is None else place.strip()
@@ -386,7 +386,7 @@ def predict(
         return
     if latent is None:
         raise UsageError(
-            "no place is given; give one, such as -0.3,1.2 or a material, or --from with a table of them; `manifold "
+            "no point is given; give one, such as -0.3,1.2 or a material, or --from with a table of them; `manifold "
             "complete --lab L,a,b --gloss 60=UNITS` makes a material from only a colour and gloss"
         )
     with progress.shown("Reading materials"):
@@ -444,7 +444,7 @@ def locate(
     results = terminal.Results(json)
     if not materials:
         raise UsageError(
-            "no material is given; give a file, a material of the library, or a place on the map"
+            "no material is given; give a file, a material of the library, or a point on the map"
         )
     written = OutputOptions(physical, terminal.is_strict())
     sources = options.several_materials(materials, model, library)

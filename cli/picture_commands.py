@@ -36,7 +36,7 @@ def latent_map(
     mark: Annotated[
         str | None,
         typer.Option(
-            help="Also show the prediction at this place, or where a material lies.", metavar=options.MATERIAL
+            help="Also show the prediction at this point, or where a material lies.", metavar=options.MATERIAL
         ),
     ] = None,
     colour: options.ColourOptions = options.OWN_COLOUR,
@@ -80,7 +80,7 @@ def latent_map(
 )
 def walk(
     start: Annotated[
-        str, typer.Argument(help="The first material: a name, a file, or a place.", metavar="FROM")
+        str, typer.Argument(help="The first material: a name, a file, or a point.", metavar="FROM")
     ],
     end: Annotated[str, typer.Argument(help="The second material.", metavar="TO")],
     steps: Annotated[int, typer.Option(help="Number of balls.", metavar="N", min=2, max=25)] = 7,
@@ -119,7 +119,7 @@ def slices(
     names: Annotated[
         list[str] | None,
         typer.Argument(
-            help=".bsdf files, fits, materials of the library, or places on the map.", metavar="MATERIAL"
+            help=".bsdf files, fits, materials of the library, or points on the map.", metavar="MATERIAL"
         ),
     ] = None,
     colour: options.ColourOptions = options.OWN_COLOUR,
@@ -265,7 +265,7 @@ def render(
     materials: Annotated[
         list[str] | None,
         typer.Argument(
-            help="A .bsdf file, the JSON of a fit, a material of the library, or a place on the map; or several, "
+            help="A .bsdf file, the JSON of a fit, a material of the library, or a point on the map; or several, "
             "folders, or libraries.",
             metavar=options.MATERIAL,
             show_default=False,
@@ -323,12 +323,12 @@ def render(
     sources = options.material_sources(materials or [], model, library, colour=colour)
     if not sources:
         raise UsageError(
-            "no material is given; give one: a file, a name, or a place such as -0.3,1.2 or FROM:TO:T; or several of "
+            "no material is given; give one: a file, a name, or a point such as -0.3,1.2 or FROM:TO:T; or several of "
             "these"
         )
     if (several := inputs_of(sources, output, is_rendered)) is not None:
         if direct:
-            raise UsageError("--direct goes with one place, or with --from")
+            raise UsageError("--direct goes with one point, or with --from")
         from manifold.many import commands as many
 
         make_many(results, many.renders(settings), several, output, workers.executor())
@@ -347,7 +347,7 @@ def compare(
     a: Annotated[
         str,
         typer.Argument(
-            help="A picture; or a .bsdf file, the JSON of a fit, a material of the library, a place on the map.",
+            help="A picture; or a .bsdf file, the JSON of a fit, a material of the library, a point on the map.",
             metavar="A",
         ),
     ],

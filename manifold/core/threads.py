@@ -6,7 +6,7 @@ import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import ContextDecorator, contextmanager
 from functools import lru_cache
 from importlib import import_module
 from typing import Any, TypeVar
@@ -128,7 +128,7 @@ def _blas() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-class _OneBlasThread:
+class _OneBlasThread(ContextDecorator):
     """The limit of several users at once: set by the first, taken back by the last, since it is the process's."""
 
     def __init__(self) -> None:

@@ -14,6 +14,7 @@ from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000_lab, lab_values
 from manifold.core.directions import angles_from_mirror, cos_from_mirror
 from manifold.core.metrics import Errors
+from manifold.core.names import percent
 from manifold.core.records import Array, Bands, Mask
 from manifold.estimate.atoms import LibraryAtoms, ball_coordinates, grid_coordinates, shown_shares
 from manifold.estimate.channels import Channels
@@ -491,6 +492,7 @@ class Completion:
                 *self._too_dark(),
                 *of_gloss,
                 *self._unexplained(),
+                *self._not_reciprocal(),
                 *self._unread(),
                 *self.readings.notes,
             ]
@@ -557,6 +559,16 @@ class Completion:
             f"no mixture of two materials explains the readings (residual {100.0 * self.residual_of_mixtures:.0f} "
             f"% before the combination is adjusted to them, {100.0 * self.residual_of_readings:.1f} % "
             f"after; most at {self._worst_reading()}): the result follows them, and other directions are uncertain"
+        ]
+
+    def _not_reciprocal(self) -> list[str]:
+        """Return a sentence if readings of different incidences differ as no reciprocal material does."""
+        if self.factors is None or not self.factors.not_reciprocal:
+            return []
+        return [
+            f"readings with the directions exchanged differ by {percent(self.factors.not_reciprocal)}, more than any "
+            "reciprocal, isotropic material: the result meets both, and its highlight can have rings; check the "
+            "instrument's geometry, or raise --repeatability to follow their mean"
         ]
 
     def _worst_reading(self) -> str:

@@ -6,7 +6,6 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum, auto
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -25,6 +24,7 @@ from manifold.core.names import counted, first_few, percent
 from manifold.core.progress import Stages
 from manifold.core.records import Array
 from manifold.core.results import Result, derived, entry
+from manifold.core.threads import one_blas_thread
 from manifold.estimate import instruments
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.channels import Channels
@@ -87,6 +87,7 @@ class Completed(Result):
         correction: colour correction of a second instrument, learned from its readings; None if there was none to
             learn.
         plausibility: physical plausibility of the written file; None without a file.
+        left_out_readings: errors of predicting each reading from the others; None without readings, or for many.
         next_readings: readings to take next, of which `suggested` are the requested number; None if none are needed.
         count: number of suggestions that were requested.
         diagnostics: sentences to read before using the file.
@@ -189,14 +190,12 @@ class Completed(Result):
         """CIEDE2000 between every reading and the completion there, (P,); None without colours."""
         return None if self._readings is None else self.completion.colour_misfits
 
-    @cached_property
-    @derived(row="readings left out", words=lambda result: result.left_out_in_words(), is_detail=True)
-    def left_out_readings(self) -> LeftOutReadings | None:
-        """Errors of predicting each reading from the others.
-
-        They are None without readings, or with more than `MOST_READINGS`.
-        """
-        return None if self._readings is None else left_out_readings(self.completion)
+    left_out_readings: LeftOutReadings | None = field(
+        default=None,
+        metadata=entry(
+            row="readings left out", words=lambda result: result.left_out_in_words(), is_detail=True
+        ),
+    )
 
     def left_out_in_words(self) -> str | None:
         """Return a text with the median and largest error of readings predicted from the others; None without any."""
@@ -428,6 +427,7 @@ class Photographed(Completed):
         return {names.get(name, name): off for name, off in self.completion.contributions.items()}
 
 
+@one_blas_thread
 def observe(
     library: Library,
     stages: Stages,
@@ -539,7 +539,8 @@ def complete(
         shares |= {"reading pictures": 1, "completing": 3, "expected error": 5, "suggesting": 3}
     stages, opened = Stages(shares), Library(library)
     completion, calibration, balls = observe(opened, stages, readings, gloss, pictures)
-    expected = calibration.expected(completion)
+    left_out = None if readings is None else left_out_readings(completion)
+    expected = calibration.expected(completion, left_out)
     next_readings = None
     if not balls and (count or unreliable(expected)):
         next_readings = suggest(completion.atoms, max(count, 1), completion, instrument)
@@ -576,7 +577,8 @@ def complete(
     made: dict[str, Any] = {
         "path": output, "picture": picture, "completion": completion, "correction": correction,
         "expected": written.expected(expected), "plausibility": written.plausibility, "next_readings": next_readings,
-        "count": count, "diagnostics": assumptions_first(notes), "seconds": time.perf_counter() - start,
+        "count": count, "left_out_readings": left_out, "diagnostics": assumptions_first(notes),
+        "seconds": time.perf_counter() - start,
     }  # fmt: skip
     return Photographed(**made, balls=balls, plan=plan) if balls else Completed(**made)
 
@@ -643,6 +645,16 @@ def _unit(readings: Readings | None) -> str | None:
     if readings is None or readings.unit_note is None:
         return None
     return words.get(readings.assumed_unit or "")
+
+
+def _of_left_out(expected: Errors[float], left_out: LeftOutReadings | None) -> tuple[str, ...]:
+    """Return a note if readings that the others predict raised the expected error of the ball."""
+    if left_out is None or left_out.typical.ball != expected.ball:
+        return ()
+    return (
+        f"readings that the others predict are off by CIEDE2000 {expected.ball:.2g} in the median, more than the ball "
+        "of a similar library material: this is its expected error",
+    )
 
 
 def _of_unit(readings: Readings | None, plausibility: Plausibility) -> tuple[str, ...]:

@@ -143,7 +143,7 @@ def locate_photographs(
         *notes_of(material, calibration, balls),
         *place.diagnostics,
         "the expected error and the residual of pixels belong to the material of the pixels; the "
-        "reconstruction error compares the prediction at the place with it",
+        "reconstruction error compares the prediction at the point with it",
     )
     stages.begin("writing")
     plausibility = None

@@ -21,6 +21,7 @@ from manifold.core.threads import one_blas_thread, share_out
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.completion import NOISY, Completion
 from manifold.estimate.evidence import Evidence, channel_atoms, clipping, nearest_bands
+from manifold.estimate.left_out_readings import LeftOutReadings
 from manifold.formats.readings import Readings
 from manifold.library.store import Library
 from manifold.model.expected_error import BELOW_TWICE
@@ -81,17 +82,19 @@ class Calibration:
         medians = ", ".join(self.errors.median.words)
         return f"<Calibration: {len(self.residuals)} materials left out, medians: {medians}>"
 
-    def expected(self, completion: Completion) -> Errors[float]:
+    def expected(self, completion: Completion, left_out: LeftOutReadings | None = None) -> Errors[float]:
         """Return the expected errors of a completion from these observations.
 
         They are its plausible errors times factors, see `factors`. If the residual is larger than the residual of
         every left-out material, the errors grow in proportion to it. The ball error also includes the uncertainty of
-        colours that were estimated from three bands or that repeated readings leave open.
+        colours that were estimated from three bands or that repeated readings leave open. No error is smaller than
+        the median error with which the other readings predict each reading, if `left_out` is given.
         """
         found = self.at(plausible_errors(completion), completion.residual)
         if not completion.is_brightness_guessed:
             found = replace(found, scaled_ball=np.nan)
-        return found.beside(Errors(ball=completion.colour_error))
+        found = found.beside(Errors(ball=completion.colour_error))
+        return found if left_out is None else found.at_least(left_out.typical)
 
     def at(self, plausible: Errors[float], residual: float) -> Errors[float]:
         """Return the expected errors for given plausible errors and a residual."""

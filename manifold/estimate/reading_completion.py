@@ -10,6 +10,7 @@ from manifold.estimate import instruments
 from manifold.estimate.completion import Completion
 from manifold.estimate.completions import atoms_of
 from manifold.estimate.expected import calibrate
+from manifold.estimate.left_out_readings import left_out_readings
 from manifold.estimate.picture_colours import with_picture_colours
 from manifold.formats.readings import Readings
 from manifold.library.store import Library
@@ -40,4 +41,4 @@ def complete_readings(
         library = Library(library)
     completion = Completion.of(atoms_of(library), with_picture_colours(readings))
     calibration = calibrate(completion.atoms, completion.exposed, library)
-    return replace(completion, expected=calibration.expected(completion))
+    return replace(completion, expected=calibration.expected(completion, left_out_readings(completion)))

@@ -13,6 +13,7 @@ import numpy as np
 
 from manifold.brdf.interface import BRDF
 from manifold.brdf.wrapper import WrappedBRDF
+from manifold.core.defaults import TINY
 from manifold.core.directions import half_vector
 from manifold.core.records import Array, Indices
 
@@ -32,6 +33,9 @@ _LENGTHS = np.array([0.12, 0.3, 0.3])  # correlation lengths of the three coordi
 _MOST = 0.5  # relative residual: larger ones come from a wrong mixture, and say nothing of nearby directions
 _CELL = 0.5  # width of a cell, whose readings are averaged, in correlation lengths
 _MOST_CELLS = 256
+_NOT_RECIPROCAL = (
+    3.0  # standard deviations: of 131 neural fits, which are reciprocal, 4 exceed it from an MA-T12
+)
 _BLOCK = 4096  # direction pairs at a time
 
 
@@ -42,10 +46,13 @@ class ResidualFactors:
     Attributes:
         centres: coordinates of C readings or averages of readings, shape (C, 3).
         strength: weight of each centre in every band, shape (B, C).
+        not_reciprocal: relative difference of values at neighbouring directions of different incidences, if their
+            distance and noise do not explain it; otherwise 0.
     """
 
     centres: Array
     strength: Array
+    not_reciprocal: float = 0.0
 
     def at(self, where: Array) -> Array:
         """Return the factors (B, M), between 1/2 and 2, at coordinates (M, 3)."""
@@ -90,11 +97,16 @@ def coordinates(wi: Array, wo: Array) -> Array:
 
 
 def residual_factors(
-    measured: Array, predicted: Array, where: Array, weights: Array, repeatability: float
+    measured: Array,
+    predicted: Array,
+    where: Array,
+    incidences_deg: Array,
+    weights: Array,
+    repeatability: float,
 ) -> ResidualFactors:
     """Return the factors by which measured cube roots (B, P) at coordinates (P, 3) differ from their prediction.
 
-    NaN marks missing readings.
+    NaN marks missing readings; `incidences_deg` (P,) are their incidences.
 
     The corrected values match the readings, with weights (P,), within the repeatability: the relative standard
     deviation of repeated readings, of which cube roots have a third. If neighbouring readings scatter more, their
@@ -112,16 +124,50 @@ def residual_factors(
         for rows in (is_known * weights, np.where(is_known, residual, 0.0) * weights)
     )
     shares = weights + np.finfo(float).tiny
-    centres = np.array([np.bincount(cell, shares * axis, count) for axis in where.T]).T
-    centres /= np.bincount(cell, shares, count)[:, None]
-    of_centres = _with_own(centres, centres)
+    of_cell = np.bincount(cell, shares, count)
+    centres = np.array([np.bincount(cell, shares * axis, count) for axis in where.T]).T / of_cell[:, None]
     noise = _noise(np.where(is_known, residual, 0.0), is_known * weights, sums, totals, repeatability)
+    of_centres = _with_own(centres, centres)
+    is_same = _same_incidence(cell, shares / of_cell[cell], incidences_deg)
+    is_near = np.triu((covariance(centres, centres) > np.exp(-0.5 * _CELL**2)) & (is_same < 0.5), 1)
+    not_reciprocal = _not_reciprocal(sums, totals, noise, of_centres, np.argwhere(is_near).T)
     strength = np.zeros((len(measured), count))
     for mask in np.unique(totals, axis=0):
         used, rows = np.flatnonzero(mask > 0.0), np.flatnonzero((totals == mask).all(axis=1))
         K = of_centres[np.ix_(used, used)] + np.diag(noise / mask[used])
         strength[np.ix_(rows, used)] = np.linalg.solve(K, (sums[np.ix_(rows, used)] / mask[used]).T).T
-    return ResidualFactors(centres, strength)
+    return ResidualFactors(centres, strength, not_reciprocal)
+
+
+def _same_incidence(cell: Indices, shares: Array, incidences_deg: Array) -> Array:
+    """Return the share of pairs of readings of two cells that have the same incidence, to a degree, shape (C, C).
+
+    Readings are in cells (P,), of which each is a share (P,).
+    """
+    _, incidence = np.unique(np.round(incidences_deg), return_inverse=True)
+    of_cells = np.zeros((int(cell.max()) + 1, int(incidence.max()) + 1))
+    np.add.at(of_cells, (cell, incidence), shares)
+    return np.asarray(of_cells @ of_cells.T)
+
+
+def _not_reciprocal(sums: Array, totals: Array, noise: float, K: Array, pairs: Indices) -> float:
+    """Return the relative difference of values in pairs of near cells of different incidences, indices (2, M).
+
+    It is 0 unless the residuals differ by more than `_NOT_RECIPROCAL` of what their distance and the noise explain.
+    Sums of residuals over cells and of their weights have shape (B, C); K (C, C) is the covariance of their means
+    over the variance of the shared part.
+    """
+    is_read = totals > 0.0
+    means = np.divide(sums, totals, out=np.zeros_like(sums), where=is_read)
+    both = is_read[:, pairs[0]] & is_read[:, pairs[1]]  # [B, M]
+    if not both.any():
+        return 0.0
+    variance = max(float(np.sum(means**2) / is_read.sum() / K[0, 0]), TINY**2)
+    expected = (K[0, 0] - K[pairs[0], pairs[1]] + noise)[None].repeat(len(means), axis=0)[both]
+    squared = (means[:, pairs[0]] - means[:, pairs[1]])[both] ** 2
+    if np.mean(0.5 * squared / variance / expected) <= _NOT_RECIPROCAL**2:
+        return 0.0
+    return 3.0 * float(np.sqrt(np.mean(squared)))  # of values, not of their cube roots
 
 
 def _with_own(a: Array, b: Array) -> Array:

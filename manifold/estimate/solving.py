@@ -160,9 +160,12 @@ def _solve_readings(atoms: LibraryAtoms, evidence: Evidence, usable: Mask | None
         read, atoms.gram, hypotheses.mean, allowed if usable is None else allowed & usable
     )
     mixed, glossy = combined @ at[0], combined @ at[1]
+    incidences_deg = np.append(
+        np.rad2deg(np.arccos(np.clip(readings.wi[:, 2], -1.0, 1.0))), list(evidence.gloss)
+    )
     factors = residual_factors(
         np.hstack([read.material, gloss.scaled(glossy)]), np.hstack([mixed, glossy]), all_where,
-        np.append(readings.weights, ones), readings.repeatability,
+        incidences_deg, np.append(readings.weights, ones), readings.repeatability,
     )  # fmt: skip
     return Solution(evidence, combined, (hypotheses,), factors=factors)
 
@@ -207,6 +210,7 @@ _TEMPERED = (
 _STRENGTHS = 4.0 ** np.arange(6)  # strengths to try for clipped spots, in addition to the clipped value
 _FINER = 2.0 ** np.linspace(-0.8, 0.8, 5)  # about the best of these
 _ROUNDS, _SETTLED = 8, 0.01  # rounds of gains and weights in turn, and largest change of the last
+_EXPOSED = 2  # first rounds that estimate the common exposure; further ones change it by less than 2 %
 _KEEP_VALUES = 1e-3  # weight of squared changes over all directions against those of pixels, both relative
 _DARK = 0.05  # share of the root mean square of cube roots: changes of darker directions cost no more
 
@@ -225,8 +229,8 @@ def solve_pictures(atoms: LibraryAtoms, evidence: Evidence, usable: Mask | None 
         exposures = alone.exposures * (scale if evidence.exposure is None else 1.0)
     least = max(MODEL_ERROR, contradiction)
     noise = np.full(len(exposures), least)
-    for _ in range(_ROUNDS):
-        if evidence.exposure is None and not evidence.of_readings:
+    for k in range(_ROUNDS):
+        if evidence.exposure is None and not evidence.of_readings and k < _EXPOSED:
             gains = relative(exposures)
             exposures = probable_exposure(atoms, evidence, gains, usable) * gains
         channels = evidence.under(exposures, noise)

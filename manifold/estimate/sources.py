@@ -94,14 +94,14 @@ def parse_source(text: str, model: Path, library: Path | None = None) -> Materia
     try:
         known, names = _names(model, library)
         unknown = (
-            f"neither a file, nor a material of {known.name} ({names_like(names, text)}), nor a place on a map (X,Y or "
+            f"neither a file, nor a material of {known.name} ({names_like(names, text)}), nor a point on a map (X,Y or "
             "FROM:TO:T)"
         )
         if known != shipped.BUILT_IN and text in shipped.about()["materials"]:
             unknown += f"; the built-in library holds it: add {'-M' if library is None else '-L'} built-in"
     except ManifoldError as error:
         known, names, failure = Path(), (), error
-        unknown = f"neither a file nor a place on a map, and there is no library to look it up in: {error}"
+        unknown = f"neither a file nor a point on a map, and there is no library to look it up in: {error}"
     if text in names:
         return LibrarySource(known, text)
     if os.path.exists(path):
@@ -110,7 +110,7 @@ def parse_source(text: str, model: Path, library: Path | None = None) -> Materia
         return PlaceSource(model, text, library)
     if looks_like_file:
         raise MissingFileError(
-            f"{text}: no such file or folder; give a file, a material of a library, or a place on a map"
+            f"{text}: no such file or folder; give a file, a material of a library, or a point on a map"
         )
     if isinstance(failure, ModelError):
         raise failure

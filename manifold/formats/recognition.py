@@ -91,11 +91,14 @@ def read_export(path: Path) -> dict[str, Any] | None:
 
 def require_no_export(path: Path) -> None:
     """Raise UsageError for a file that `manifold export` wrote for an engine, because it cannot be read back."""
-    if path.suffix.lower() not in _ENGINE_SUFFIXES and read_export(path) is None:
+    is_json = read_export(path) is not None
+    if path.suffix.lower() not in _ENGINE_SUFFIXES and not is_json:
         return
     raise UsageError(
-        f"{path}: a file for engines, which cannot be read back, expected its material; compare both by "
-        "`manifold export MATERIAL --target NAME --picture`"
+        f"{path}: a file for engines, which cannot be read back, expected its material; `manifold export MATERIAL "
+        "--target NAME --picture` states the error of the export and draws both"
+        + f"; `manifold info {path.name}` states that of this file"
+        * is_json
     )
 
 

@@ -105,7 +105,7 @@ def measure_coherence(
     """
     lights, pairs, kept = panel.judged(), list[Pair](), list[float]()
     count = min(NEIGHBOURS_COMPARED, len(X) - 1)
-    some = progress.each(evenly_spaced(len(X), _MEASURED).tolist(), "places between materials")
+    some = progress.each(evenly_spaced(len(X), _MEASURED).tolist(), "points between materials")
     for i, similar in most_similar(ball, len(X), count, some):
         near = _others(np.argsort(np.sum((X - X[i]) ** 2, axis=1), kind="stable"), i)[:count]
         kept.append(len(np.intersect1d(similar, near)) / count)

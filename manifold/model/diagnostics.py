@@ -97,7 +97,7 @@ class DiagnosedPrediction(Result):
         return self.latent is None and self.walk is None
 
     @property
-    @derived(row="place", json=False)
+    @derived(row="point", json=False)
     def place_in_words(self) -> str:
         """Return lines of text that state the place, and where the colour comes from."""
         place = f"{self.walk}, a step of a walk" if self.walk is not None else ",".join(self.coordinates)
@@ -110,7 +110,7 @@ class DiagnosedPrediction(Result):
     def expected_in_words(self) -> tuple[str | list[str], ...]:
         """Return lines of text with the expected errors of the prediction in its colour, or why there are none."""
         if self.walk is not None:
-            return ("none: a step of a walk has no place on the map",)
+            return ("none: a step of a walk has no point on the map",)
         if self.own is not None:
             what = "the material itself" if self.attributes is None and self.colour is None else "the change"
             return (f"none, because the map is not used for {what}",)

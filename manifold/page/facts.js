@@ -80,7 +80,7 @@ export const facts = {
   showFacts() {
     const { data, state } = this, error = this.error();
     const beyond = state.without ? "none: predicted by the others; compare it with the measured material"
-      : isBetween(state) ? "none: a step of a walk has no place on the map"
+      : isBetween(state) ? "none: a step of a walk has no point on the map"
       : data.error ? "outside the map" : "not computed above three dimensions";
     this.byId("error-value").textContent = error === null ? beyond : this.errorText(error);
     const found = this.diagnostics();

@@ -90,13 +90,13 @@ class Actions {
     const looks = this.explorer.looks(), name = this.explorer.byId("action-name").value;
     for (const [k, look] of looks.entries()) {
       if (look.without) {
-        this.explorer.problem("commands predict of all materials; choose another place");
+        this.explorer.problem("commands predict of all materials; choose another point");
         return;
       }
       if (look.colour === "own") {
         this.explorer.problem(this.explorer.guests[look.guest].surface === undefined
           ? "the colours of a dropped file are in `manifold locate FILE --output NEW`; choose others here"
-          : "the files of a surface are those that `manifold surface` wrote; choose a place on the map here");
+          : "the files of a surface are those that `manifold surface` wrote; choose a point on the map here");
       } else if (!await this.request(kind, { ...this.place(look), ...options, name: looks.length > 1 ? `${name}-${k + 1}` : name })) {
         return;
       }

@@ -49,7 +49,7 @@ def latent_map(
     )
     if predicted is not None and predicted.walk is not None:
         raise UsageError(
-            f"{marked}: a step of a walk, which has no place on the map; mark a material or coordinates, or use "
+            f"{marked}: a step of a walk, which has no point on the map; mark a material or coordinates, or use "
             "`manifold walk`"
         )
     x = None if predicted is None else predicted.latent
@@ -146,7 +146,7 @@ def sources(materials: Sequence[MaterialSource]) -> list[ShownBRDF]:
             label = file.name if is_told else f"{file.name}, {file.origin}"
             found.append((given, ShownBRDF(label, MeasuredBRDF(blank_unmeasured(file)))))
     if not found:
-        raise UsageError("no material to draw; give files, materials of a library, or places on a map")
+        raise UsageError("no material to draw; give files, materials of a library, or points on a map")
     labels = [source.label for _, source in found]
     return [
         replace(source, label=given) if labels.count(source.label) > 1 else source for given, source in found

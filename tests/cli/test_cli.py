@@ -72,7 +72,7 @@ def test_every_command_explains_itself_with_an_example(run, tmp_path, command):
     [
         (["predic"], "predict"),
         (["predict", "--latnt", "0,0"], "--latent"),
-        (["predict"], "no place is given"),
+        (["predict"], "no point is given"),
         (["embed", "--latent-dim", "0"], "latent-dim"),
         (["embed", "--optimizer", "dls"], "found --optimizer dls, which goes with --kind gplvm"),
         (["predict", "--latent", "0.3", "1.2"], "coordinates have commas and no blanks, such as 0.3,1.2"),

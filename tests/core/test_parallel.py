@@ -160,3 +160,5 @@ def test_blas_keeps_to_one_thread_and_has_them_back():
     with one_blas_thread, one_blas_thread:
         assert blas_threads() == {1}
     assert blas_threads() == before
+    assert one_blas_thread(blas_threads)() == {1}  # as a decorator
+    assert blas_threads() == before

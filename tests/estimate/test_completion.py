@@ -35,7 +35,7 @@ from manifold.estimate.completions import NextStep, advise
 from manifold.estimate.completions import _of_unit as of_unit
 from manifold.estimate.evidence import Evidence, for_library, in_all_bands
 from manifold.estimate.expected import Calibration, errors_of, leave_out, plausible_errors
-from manifold.estimate.left_out_readings import left_out_readings
+from manifold.estimate.left_out_readings import LeftOutReadings, left_out_readings
 from manifold.estimate.mixtures import (
     COATED,
     LIKE_ONE,
@@ -62,6 +62,8 @@ from manifold.model.prediction import ClippedBRDF
 
 APART = np.arange(9.0)[:, None] * np.full(3, 50.0)
 """Coordinates of nine readings without correlation."""
+
+INCIDENCES_DEG = np.rad2deg(np.arccos(DIRECTIONS[0][:, 2]))
 
 
 def random_atoms(rng, n=6, P=9, Q=40):
@@ -243,7 +245,7 @@ def test_the_residual_at_readings_is_carried_to_their_neighbourhood(rng):
     where = coordinates(wi, wo)
     predicted = rng.random((2, 12)) + 0.5
     targets = predicted * np.array([[1.2], [0.9]])
-    found = residual_factors(targets, predicted, where, np.ones(12), 0.1)
+    found = residual_factors(targets, predicted, where, INCIDENCES_DEG, np.ones(12), 0.1)
     # Between nothing and all: of readings 15 degrees apart some agree.
     share = (found.at(where) - 1.0) / np.array([[0.2], [-0.1]])
     assert np.all((share > 0.6) & (share < 1.2))
@@ -253,9 +255,11 @@ def test_the_residual_at_readings_is_carried_to_their_neighbourhood(rng):
     mirrored = np.array([1.0, -1.0, 1.0])
     np.testing.assert_allclose(found.at(coordinates(wi * mirrored, wo * mirrored)), found.at(where))
     targets[1, :5] = np.nan
-    some = residual_factors(targets, predicted, where, np.ones(12), 0.1)
+    some = residual_factors(targets, predicted, where, INCIDENCES_DEG, np.ones(12), 0.1)
     np.testing.assert_allclose(some.at(where)[0], found.at(where)[0], atol=5e-3)  # noise is that of all bands
-    of_measured = residual_factors(targets[1:, 5:], predicted[1:, 5:], where[5:], np.ones(7), 0.1)
+    of_measured = residual_factors(
+        targets[1:, 5:], predicted[1:, 5:], where[5:], INCIDENCES_DEG[5:], np.ones(7), 0.1
+    )
     np.testing.assert_allclose(some.at(where)[1], of_measured.at(where)[0], atol=5e-3)
 
 
@@ -263,12 +267,33 @@ def test_thousands_of_readings_are_averaged_where_they_are_near_each_other(rng):
     wi, wo = (
         from_spherical(np.arccos(rng.uniform(0.1, 1.0, 3000)), rng.uniform(-np.pi, np.pi, 3000)) for _ in "io"
     )
+    incidences_deg = np.rad2deg(np.arccos(wi[:, 2]))
     where, change = coordinates(wi, wo), 0.2 * wo[:, 2] * wi[:, 2]
     read = 1.0 + change + 0.2 * rng.standard_normal((1, 3000))
-    found = residual_factors(read, np.ones((1, 3000)), where, np.ones(3000), 0.03)
+    found = residual_factors(read, np.ones((1, 3000)), where, incidences_deg, np.ones(3000), 0.03)
     assert found.strength.shape[1] <= 256
     wrong = found.at(where)[0] - 1.0 - change
     assert np.sqrt(np.mean(wrong**2)) < 0.05  # a quarter of the noise
+
+
+def test_the_residual_says_whether_readings_are_reciprocal():
+    where = coordinates(*DIRECTIONS)
+
+    def found(residual):
+        measured = 1.0 + np.tile(residual, (3, 1))
+        return residual_factors(measured, np.ones((3, 12)), where, INCIDENCES_DEG, np.ones(12), 0.0025)
+
+    assert found(0.04 * np.sin(where[:, 0] / 2.0)).not_reciprocal == 0.0
+    apart = found(np.where(INCIDENCES_DEG < 30.0, -0.04, 0.04)).not_reciprocal
+    assert apart == pytest.approx(3.0 * 0.08, rel=0.01)  # of values, whose cube roots are apart by 0.08
+
+
+def test_a_completion_says_that_readings_are_not_reciprocal(atoms):
+    wi, wo = DIRECTIONS
+    f = MeasuredBRDF(measured("syn_felt_orange")).eval(wi, wo)
+    contradicting = readings(f * np.where(INCIDENCES_DEG < 30.0, 0.85, 1.15)[:, None])
+    said = [" ".join(Completion.of(atoms, read).notes) for read in (readings(f), contradicting)]
+    assert ["readings with the directions exchanged differ" in notes for notes in said] == [False, True]
 
 
 def test_the_next_reading_is_the_one_that_lowers_both_errors_most(rng):
@@ -841,6 +866,17 @@ def test_a_left_out_reading_is_that_which_the_others_predict(atoms):
     expected = np.linalg.norm(np.cbrt(f_star) - np.cbrt(f)) / np.linalg.norm(np.cbrt(f))
     assert found.relative[4] == pytest.approx(expected, rel=1e-6)
     assert found.relative.shape == found.ciede2000.shape == (len(wi),)
+
+
+def test_expected_errors_are_at_least_those_of_left_out_readings(atoms):
+    made = Completion.of(atoms, readings(np.full((12, 3), 0.1)))
+    calibration = calibrate(made.atoms, made.exposed)
+    usual = calibration.expected(made)
+    better, worse = (LeftOutReadings(np.full(12, off), np.full(12, 50.0 * off)) for off in (1e-3, 0.9))
+    assert calibration.expected(made, better) == usual
+    raised = calibration.expected(made, worse)
+    assert (raised.ball, raised.elsewhere, raised.near_mirror) == (45.0, 0.9, usual.near_mirror)
+    assert advise(raised, None) == "do not use it: 90 % expected cube-root error beside highlights"
 
 
 def test_many_readings_or_one_are_not_left_out_in_turn(atoms):

@@ -341,9 +341,10 @@ def test_several_files_or_a_pattern_are_exported_into_a_folder(folder, tmp_path,
     assert result.exit_code == 0, result.output
     assert (tmp_path / "a1_unity.json").exists()  # a1.json may be another command's
     assert "export for unity" in run("info", "a1_unity.json").stdout
-    assert "a file for engines, which cannot be read back" in str(
-        run("compare", "a1.fit.json", "a1_unity.json").exception
-    )
+    refusal = str(run("compare", "a1.fit.json", "a1_unity.json").exception)
+    assert "a file for engines, which cannot be read back" in refusal
+    assert "`manifold info a1_unity.json` states" in refusal
+    assert "CIEDE2000" in run("info", "a1_unity.json").stdout
 
 
 def test_several_targets_are_drawn_beside_the_material(folder, tmp_path, monkeypatch):

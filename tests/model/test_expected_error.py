@@ -242,7 +242,7 @@ def test_of_a_blended_colour_a_larger_error_is_expected_than_of_a_known_one(mode
     unknown = f"{blended.expected.ball:.1f} CIEDE2000 of the ball (mean of five lights)"
     assert blended.rows["unknown material"][0] == f"located here, its colour not given: {unknown}"
     assert "unknown material" not in chosen.rows
-    assert list(blended.summary)[:3] == ["place", "expected error", "unknown material"]
+    assert list(blended.summary)[:3] == ["point", "expected error", "unknown material"]
 
 
 def test_a_material_in_another_colour_than_its_own_has_an_expected_error(model):

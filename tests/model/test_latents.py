@@ -68,7 +68,7 @@ def test_a_printed_latent_makes_the_material_again_and_a_step_of_a_walk_has_none
         if text == f"{a}:{b}:0.5":
             assert (made.latent, made.coordinates, made.expected, made.nearest) == (None, (), None, [])
             assert made.walk == f"between {a} and {b}, t = 0.5"
-            assert made.rows["expected error"] == ("none: a step of a walk has no place on the map",)
+            assert made.rows["expected error"] == ("none: a step of a walk has no point on the map",)
             assert made.to_json()["latent"] is None
             assert distance(made.brdf, loaded.predict(loaded.between(a, b, 0.5))) > 1.0  # another material
         else:
@@ -88,7 +88,7 @@ def test_in_a_chosen_colour_a_step_is_the_place_between_the_two(model):
 
 
 def test_a_step_of_a_walk_cannot_be_marked_on_the_map(model, tmp_path):
-    with pytest.raises(UsageError, match="has no place on the map"):
+    with pytest.raises(UsageError, match="has no point on the map"):
         maps.latent_map(model, tmp_path / "map.png", marked=f"{NAMES[0]}:{NAMES[1]}:0.5")
 
 

@@ -738,7 +738,7 @@ def test_the_expected_error_is_that_of_the_colour_and_place_that_are_shown(page,
     walk = {"from": NAMES[0], "to": NAMES[3], "t": 0.5}
     page.evaluate("(change) => window.explorer.change(change)", {"colour": "blend", "path": walk})
     settle(page)
-    assert page.locator("#error-value").inner_text() == "none: a step of a walk has no place on the map"
+    assert page.locator("#error-value").inner_text() == "none: a step of a walk has no point on the map"
     assert page.evaluate(
         "() => window.explorer.latentDocument(window.explorer.state, window.explorer.prediction).latent"
     ) is None  # fmt: skip

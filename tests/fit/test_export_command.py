@@ -252,7 +252,10 @@ def test_two_files_of_one_name_are_refused(folder, tmp_path):
         (["copper_rgb.fit.json", "-o", "x.obj"], "suffix '.obj', expected one of .glb"),
         (["copper_rgb.fit.json", "-o", "x.json"], "several targets are JSON"),
         (["copper_rgb.fit.json", "-o", "x.glb", "--srgb", "#ff0000"], "go with predictions"),
-        (["copper_rgb.bsdf", "-o", "x.glb", "--against", "copper_rgb.bsdf"], "goes only with the JSON of a fit"),
+        (
+            ["copper_rgb.bsdf", "-o", "x.glb", "--against", "copper_rgb.bsdf"],
+            "goes only with the JSON of a fit",
+        ),
         (["nowhere.fit.json", "-o", "x.glb"], "no such file"),
         (["nowhere.bsdf", "-o", "x.glb"], "no such file"),
         (["copper_rgb.fit.json", "-o", "no/x.glb"], "cannot write this file"),

@@ -61,7 +61,7 @@ def place_names(
     Names are centred, with offsets in pixels, as all lengths are; a line leads to a point whose name is far.
     Half of a point's width is `dot`.
     """
-    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
+    renderer = figure.canvas.get_renderer()
     frame = axes.get_window_extent(renderer).padded(-0.5 * dot).extents
     own = axes.transData.transform([name.xy for name in names])
     taken = np.hstack([points - dot, points + dot])  # left, bottom, right, top

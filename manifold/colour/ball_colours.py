@@ -88,10 +88,13 @@ class Picture(Pairs):
         return Picture(self.wi, self.wo, sums, self.places)
 
     def of_pixels(self, pixels: slice) -> Picture:
-        """Return some of the pixels, and the pairs that light them."""
+        """Return some of the pixels of a ball, whose pairs lie pixel by pixel, and the pairs that light them."""
         sums = self.sums[pixels]
-        used = np.unique(sums.indices)
-        return Picture(self.wi[used], self.wo[used], sums[:, used], self.places[pixels])
+        first, end = int(sums.indices.min()), int(sums.indices.max()) + 1
+        own = scipy.sparse.csr_array(
+            (sums.data, sums.indices - first, sums.indptr), shape=(sums.shape[0], end - first)
+        )
+        return Picture(self.wi[first:end], self.wo[first:end], own, self.places[pixels])
 
 
 def delta_e(xyz: Array, xyz_star: Array) -> float:

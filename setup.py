@@ -5,10 +5,13 @@ From Python 3.12 on they use the stable ABI: one wheel per platform serves all l
 
 from __future__ import annotations
 
+import os
 import platform
 import sys
 import sysconfig
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import nanobind
 from setuptools import Extension, setup
@@ -40,6 +43,15 @@ class BuildLoops(build_ext):
             extension.extra_compile_args = FLAGS["msvc" if self.compiler.compiler_type == "msvc" else "unix"]
             # Setuptools refuses absolute paths where it lists the files of the sources.
             extension.sources = [*extension.sources, str(BINDING / "src" / "nb_combined.cpp")]
+        compile_all = self.compiler.compile
+
+        def compile_each(sources: list[str], **options: Any) -> list[str]:
+            """Compile the sources at once: setuptools does so only with extensions."""
+            with ThreadPoolExecutor(os.cpu_count()) as threads:
+                made = threads.map(lambda source: compile_all([source], **options), sources)
+                return [path for paths in made for path in paths]
+
+        self.compiler.compile = compile_each
         try:
             super().build_extensions()
         except (CCompilerError, ExecError, PlatformError) as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection
 from copy import copy
 from dataclasses import fields, is_dataclass
 from importlib import import_module
@@ -77,7 +77,7 @@ _PANELS = ("", COLOUR, LIGHT, TAKEN, GRID, SHARED)
 _MOST_SHOWN = 20  # options in a help; `--help-all` shows all
 
 
-def load(names: Iterable[str]) -> None:
+def load(names: Collection[str]) -> None:
     """Import the modules of commands, and expand dataclasses among their parameters into options."""
     for module in dict.fromkeys(COMMANDS[name][0] for name in names):
         import_module(f".{module}_commands", __package__)
@@ -101,6 +101,7 @@ class Command(TyperCommand):
         def value(found: re.Match[str]) -> str:
             return format(getattr(import_module(found[1]), found[2]), (found[3] or ":")[1:])
 
+        each: Any
         for each in (self, *self.params):
             if text := getattr(each, "help", None):
                 each.help = _NAMED.sub(value, text)
@@ -108,14 +109,16 @@ class Command(TyperCommand):
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the names of the arguments, then the options by panel; options for experts appear only on request."""
-        arguments, panels = [], {panel: [] for panel in _PANELS}
+        arguments: list[tuple[str, str]] = []
+        panels: dict[str, list[tuple[str, str]]] = {panel: [] for panel in _PANELS}
+        parameter: Any
         for parameter in self.get_params(ctx):
             if parameter.param_type_name == "argument":
-                parameter.display_type_rich = lambda ctx: None  # type: ignore[method-assign]
+                parameter.display_type_rich = lambda ctx: None
                 arguments.append(parameter.get_help_record(ctx))
             elif (record := _without_range(parameter.get_help_record(ctx))) is not None:
                 panels[getattr(parameter, "rich_help_panel", None) or ""].append(record)
-        left_out = []
+        left_out: list[str] = []
         for panel in reversed(_PANELS[1:]):
             if Command.shows_all or sum(map(len, panels.values())) <= _MOST_SHOWN:
                 break
@@ -174,7 +177,9 @@ class Application(typer.Typer):
 def with_groups(command: Callable[..., Any]) -> Callable[..., Any]:
     """Return a command whose parameters that are dataclasses of options are replaced by their fields."""
     signature = inspect.signature(command, eval_str=True)
-    groups = {p.name: p.annotation for p in signature.parameters.values() if is_dataclass(p.annotation)}
+    groups: dict[str, Any] = {
+        p.name: p.annotation for p in signature.parameters.values() if is_dataclass(p.annotation)
+    }
     if not groups:
         return command
     parameters = []

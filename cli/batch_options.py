@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
     from manifold.estimate.inputs import Input
     from manifold.estimate.sources import MaterialSource
-    from manifold.many.batch import Batch, BatchCommand
-    from manifold.many.batch import Source as BatchSource
+    from manifold.many.batch import Batch, BatchCommand, BatchSource
 
     S = TypeVar("S", bound=BatchSource)
 
@@ -133,12 +132,13 @@ def inputs_of(
     """
     from manifold.estimate import inputs
     from manifold.estimate.sources import FileSource
+    from manifold.formats.recognition import is_rgl
 
     many = is_many(sources, output)
     files = [source.path for source in sources if isinstance(source, FileSource)]
     if not many and not (samples and files and (output is None or not output.suffix)):
         return None
-    found = inputs.find_inputs(sources, is_wanted or inputs.is_rgl, samples=samples)
+    found = inputs.find_inputs(sources, is_wanted or is_rgl, samples=samples)
     if not many and len(found) == 1:
         return None
     if output is not None:

@@ -199,11 +199,12 @@ def embed(
     }
     chosen = {name: value for name, value in given.items() if value is not None}
     settings = _published_settings(latent_dim, chosen) if as_published else _settings(kind, chosen)
-    chooses = {"mapping": mapping == AUTO, "latent_dim": latent_dim == AUTO}
+    chooses_mapping, chooses_latent_dim = mapping == AUTO, latent_dim == AUTO
     with OneWorkerOptions(None, scheduler).executor() as executor:
         fitted, candidates = embed(
             library, output, settings, without=without or (),
-            choose=partial(choose, **chooses) if any(chooses.values()) else None, workers=executor,
+            choose=partial(choose, mapping=chooses_mapping, latent_dim=chooses_latent_dim)
+            if chooses_mapping or chooses_latent_dim else None, workers=executor,
         )  # fmt: skip
     settings = fitted.settings
     if candidates:

@@ -14,7 +14,7 @@ from manifold.core.errors import UsageError
 
 from . import terminal
 from .application import COLOUR, GRID
-from .defaults import DEFAULT_LIBRARY
+from .defaults import DEFAULT_LIBRARY as DEFAULT_LIBRARY
 from .defaults import DEFAULT_MODEL as DEFAULT_MODEL
 from .outputs import written
 

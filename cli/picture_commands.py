@@ -53,14 +53,14 @@ def latent_map(
 
     results = terminal.Results(json)
     refused = "--mark; materials have their own colours" if mark is None else None
-    colour = colour.choice(refused=refused)
+    choice = colour.choice(refused=refused)
     with progress.shown("Rendering"):
         marked, left_out = maps.latent_map(
             model,
             output,
             library=library,
             marked=None if mark is None else options.material_source(mark, model, library),
-            colour=colour,
+            colour=choice,
         )
     rows: dict[str, object] = {"left out": ", ".join(left_out)} if left_out else {}
     results.rows(f"Drawn {output}", rows | (marked.rows if marked is not None else {}))

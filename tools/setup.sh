@@ -86,31 +86,38 @@ if ! can_compile; then
         echo "setup: a C++ compiler or Python's headers are missing and could not be installed; install g++ and python3-dev" >&2
 fi
 
-if ! has_llvm; then
-    apt_install libllvm19 || echo "setup: libllvm19 is missing and could not be installed; Mitsuba will run its slower scalar variants" >&2
-fi
+# What others than pip install, while pip downloads and compiles: each mostly waits.
+install_others() {
+    if ! has_llvm; then
+        apt_install libllvm19 || echo "setup: libllvm19 is missing and could not be installed; Mitsuba will run its slower scalar variants" >&2
+    fi
 
-if [ "$extra" = dev ] && ! command -v chromium >/dev/null 2>&1; then
-    apt_install chromium || echo "setup: chromium is missing and could not be installed; tests of pages are skipped" >&2
-fi
+    if [ "$extra" = dev ] && ! command -v chromium >/dev/null 2>&1; then
+        apt_install chromium || echo "setup: chromium is missing and could not be installed; tests of pages are skipped" >&2
+    fi
 
-if [ "$extra" = dev ] && ! { command -v glslangValidator && command -v spirv-cross; } >/dev/null 2>&1; then
-    apt_install glslang-tools spirv-cross ||
-        echo "setup: glslang-tools and spirv-cross are missing and could not be installed; tests of translated shaders are skipped" >&2
-fi
+    if [ "$extra" = dev ] && ! { command -v glslangValidator && command -v spirv-cross; } >/dev/null 2>&1; then
+        apt_install glslang-tools spirv-cross ||
+            echo "setup: glslang-tools and spirv-cross are missing and could not be installed; tests of translated shaders are skipped" >&2
+    fi
 
-if [ "$extra" = dev ] && command -v npm >/dev/null 2>&1 && [ ! -d .venv/node_modules/three ]; then
-    npm install --silent --no-fund --no-audit --prefix .venv three@0 gltf-validator >/dev/null 2>&1 ||
-        echo "setup: three and gltf-validator could not be installed; tests of glTF files by them are skipped" >&2
-fi
+    if [ "$extra" = dev ] && command -v npm >/dev/null 2>&1 && [ ! -d .venv/node_modules/three ]; then
+        npm install --silent --no-fund --no-audit --prefix .venv three@0 gltf-validator >/dev/null 2>&1 ||
+            echo "setup: three and gltf-validator could not be installed; tests of glTF files by them are skipped" >&2
+    fi
 
-if [ "$extra" = docs ] && [ ! -d .venv/node_modules/katex ]; then
-    command -v npm >/dev/null 2>&1 || apt_install npm || true
-    npm install --silent --no-fund --no-audit --prefix .venv katex@0.16 >/dev/null 2>&1 ||
-        echo "setup: KaTeX could not be installed; install Node.js with npm (Debian: apt install npm)" >&2
-fi
+    if [ "$extra" = docs ] && [ ! -d .venv/node_modules/katex ]; then
+        command -v npm >/dev/null 2>&1 || apt_install npm || true
+        npm install --silent --no-fund --no-audit --prefix .venv katex@0.16 >/dev/null 2>&1 ||
+            echo "setup: KaTeX could not be installed; install Node.js with npm (Debian: apt install npm)" >&2
+    fi
+}
+
+trap wait EXIT # for them, also if pip fails
+install_others &
 
 target=".[${extra:-all}]"
 # Python compiles what is imported when it is first imported: half of the installation's time would go to what never is.
 .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --editable "$target"
+wait
 touch ".venv/ready$extra"

@@ -25,6 +25,7 @@ VIEW = normalize(np.array([0.0, -8.2, 2.3]))
 
 _PIXELS, _RINGS, _SPOKES = 10, 18, 12
 _ENVIRONMENT_ROWS, _BLUR = 20, 12
+_BLOCK = 128  # pixels whose pairs are made at once: arrays of all pairs of a fine ball take gigabytes
 
 
 def environment() -> Array:
@@ -88,10 +89,16 @@ class Picture(Pairs):
         return Picture(self.wi, self.wo, sums, self.places)
 
     def of_pixels(self, pixels: slice) -> Picture:
-        """Return a picture of some of the pixels, with the direction pairs that light them."""
+        """Return a picture of some of the pixels, with the direction pairs that light them.
+
+        The pairs of a ball are sorted by pixel.
+        """
         sums = self.sums[pixels]
-        used = np.unique(sums.indices)
-        return Picture(self.wi[used], self.wo[used], sums[:, used], self.places[pixels])
+        first, end = int(sums.indices.min()), int(sums.indices.max()) + 1
+        own = scipy.sparse.csr_array(
+            (sums.data, sums.indices - first, sums.indptr), shape=(sums.shape[0], end - first)
+        )
+        return Picture(self.wi[first:end], self.wo[first:end], own, self.places[pixels])
 
 
 def delta_e(xyz: Array, xyz_star: Array) -> float:
@@ -128,15 +135,21 @@ def white_ball(pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES
     m = from_spherical(theta, 2.0 * np.pi * turn.ravel())  # [M, 3]
     area = np.sin(theta) * np.pi * np.repeat(u, spokes) / rings * 2.0 * np.pi / spokes
     wi = frame @ VIEW
-    cosine = wi @ m.T  # [K, M]
-    wo = 2.0 * cosine[..., None] * m - wi[:, None]
-    lit = (cosine > 0.0) & (wo[..., 2] > 0.0)
-    world = np.einsum("kmc,kcw->kmw", wo, frame)[lit]
-    pixel = np.nonzero(lit)[0]
+
+    def lit_pairs(first: int) -> tuple[Indices, Array, Array, Array]:
+        """Return pixel, wo, the world's directions of wo and weight of the lit pairs of some pixels."""
+        some = slice(first, first + _BLOCK)
+        cosine = wi[some] @ m.T  # [K', M]
+        wo = 2.0 * cosine[..., None] * m - wi[some, None]
+        lit = (cosine > 0.0) & (wo[..., 2] > 0.0)
+        world = np.einsum("kmc,kcw->kmw", wo, frame[some])[lit]
+        wo = wo[lit]
+        return first + np.nonzero(lit)[0], normalize(wo), world, wo[:, 2] * (4.0 * cosine * area)[lit]
+
+    blocks = zip(*map(lit_pairs, range(0, len(wi), _BLOCK)), strict=True)
+    pixel, wo, world, weight = (np.concatenate(parts) for parts in blocks)
     starts = np.searchsorted(pixel, np.arange(len(wi)))
-    weight = wo[lit][:, 2] * (4.0 * cosine * area)[lit]
-    sums, places = sums_of_runs(weight, starts), np.column_stack([x, y])
-    return Picture(wi[pixel], normalize(wo[lit]), sums, places), world
+    return Picture(wi[pixel], wo, sums_of_runs(weight, starts), np.column_stack([x, y])), world
 
 
 def frames(pixels: int) -> tuple[Array, Array, Array]:

@@ -61,7 +61,7 @@ def place_names(
     Names are centred, with offsets in pixels; a line connects a distant name with its point. `dot` is half the width
     of a point in pixels.
     """
-    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
+    renderer = figure.canvas.get_renderer()
     frame = axes.get_window_extent(renderer).padded(-0.5 * dot).extents
     own = axes.transData.transform([name.xy for name in names])
     taken = np.hstack([points - dot, points + dot])  # left, bottom, right, top

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from helpers.missing_packages import run_without
+from helpers.one_process import run_together
 from helpers.small_library import NAMES, small_library
 
 from manifold.core.extras import EXTRAS
@@ -49,7 +49,7 @@ def outcomes(tmp_path_factory):
     (folder / "places.csv").write_text("x,y\n0,0\n0.1,0.1\n")
     commands = WORKS | {name: words for name, (words, _) in NEEDS.items()}
     missing = sorted({module for modules in EXTRAS.values() for module in modules})
-    return run_without(missing, commands, folder)
+    return run_together(missing, commands, folder)
 
 
 @pytest.mark.parametrize("name", WORKS)

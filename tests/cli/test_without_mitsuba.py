@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
-from helpers.missing_packages import run_without
+from helpers.one_process import run_together
 from helpers.small_library import NAMES, small_library
 from PIL import Image
 
@@ -49,7 +49,7 @@ def outcomes(tmp_path_factory):
         Image.new("RGB", (32, 32), (grey, grey, grey)).save(folder / f"{name}.png")
     free = FreeParameter("alpha", 0.01, 1.0, 0.3)
     (folder / "metal.json").write_text(json.dumps(BsdfFamily("roughconductor", (free,)).to_json()))
-    return run_without(["mitsuba", "drjit"], WORKS | FAILS, folder, ONCE, CORPUS)
+    return run_together(["mitsuba", "drjit"], WORKS | FAILS, folder, ONCE, CORPUS)
 
 
 @pytest.mark.parametrize("name", WORKS)

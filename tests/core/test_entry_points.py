@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from helpers.one_process import run_together, with_packages
 from helpers.paths import REPOSITORY
 from helpers.small_library import small_model
 
@@ -84,55 +85,65 @@ def work(tmp_path_factory):
 
 def run(work, packages, *words):
     """Run the command line with a folder of packages; what it printed."""
-    path = os.pathsep.join(filter(None, (str(packages), os.environ.get("PYTHONPATH"))))
     return subprocess.run(
         [sys.executable, "-m", "manifold", *words],
-        cwd=work, capture_output=True, text=True, check=False, env=os.environ | {"PYTHONPATH": path},
+        cwd=work, capture_output=True, text=True, check=False, env=with_packages(packages),
     )  # fmt: skip
+
+
+COMMANDS = {
+    "help of info": ["info", "--help"],
+    "help of convert": ["convert", "--help"],
+    "help of export": ["export", "--help"],
+    "help of embed": ["embed", "--help"],
+    "info": ["info", "sample.log"],
+    "convert": ["convert", "sample.log", "-o", "sample.csv"],
+    "embed": ["embed", "--kind", "gplvm", "--optimizer", "shake", "-M", "shaken.h5"],
+    "info of the model": ["info", "shaken.h5"],
+}
+TARGETS = """
+from pathlib import Path
+from manifold.fit.exports.targets import target_of
+from manifold.registries import TARGETS
+
+names = target_of(None, Path("x.studio")).title, target_of(None, Path("x.glb")).name, list(TARGETS)[-1]
+print(json.dumps(names))
+"""
+
+
+@pytest.fixture(scope="module")
+def outcomes(work, packages):
+    """Status, stdout and stderr of the commands, and the names of targets."""
+    return run_together([], COMMANDS, work, last=TARGETS, installed=packages)
 
 
 @pytest.mark.parametrize(
-    ("words", "name"),
-    [
-        (["info", "--help"], "lab log"),
-        (["convert", "--help"], "lab log"),
-        (["export", "--help"], "studio"),
-        (["embed", "--help"], "shake"),
-    ],
+    ("command", "name"),
+    [("info", "lab log"), ("convert", "lab log"), ("export", "studio"), ("embed", "shake")],
 )
-def test_helps_list_entries_of_other_packages(words, name, work, packages):
-    done = run(work, packages, *words)
-    assert name in " ".join(done.stdout.split())
-    assert done.stderr == ""
+def test_helps_list_entries_of_other_packages(command, name, outcomes):
+    _, out, err = outcomes[f"help of {command}"]
+    assert name in " ".join(out.split())
+    assert err == ""
 
 
-def test_a_reader_of_another_package_reads_its_files(work, packages):
-    shown = run(work, packages, "info", "sample.log")
-    assert "sample.log: lab log" in shown.stdout
-    assert "readings" in shown.stdout
-    done = run(work, packages, "convert", "sample.log", "-o", "sample.csv")
-    assert done.returncode == 0, done.stderr
+def test_a_reader_of_another_package_reads_its_files(work, outcomes):
+    _, shown, _ = outcomes["info"]
+    assert "sample.log: lab log" in shown
+    assert "readings" in shown
+    status, _, err = outcomes["convert"]
+    assert status == 0, err
     assert "0.24" in (work / "sample.csv").read_text()
 
 
-def test_a_target_of_another_package_is_exported_to(work, packages):
-    script = (
-        "from pathlib import Path; from manifold.fit.exports.targets import target_of\n"
-        "from manifold.registries import TARGETS\n"
-        "print(target_of(None, Path('x.studio')).title, target_of(None, Path('x.glb')).name, list(TARGETS)[-1])"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", script],
-        capture_output=True, text=True, check=True, env=os.environ | {"PYTHONPATH": str(packages)},
-    )  # fmt: skip
-    assert done.stdout.split() == ["Studio", "gltf", "studio"]
+def test_a_target_of_another_package_is_exported_to(outcomes):
+    assert outcomes["last"] == ["Studio", "gltf", "studio"]
 
 
-def test_a_method_of_another_package_embeds(work, packages):
-    words = ["embed", "--kind", "gplvm", "--optimizer", "shake", "-M", "shaken.h5"]
-    done = run(work, packages, *words)
-    assert done.returncode == 0, done.stderr
-    assert "shake" in run(work, packages, "info", "shaken.h5").stdout
+def test_a_method_of_another_package_embeds(work, outcomes):
+    status, _, err = outcomes["embed"]
+    assert status == 0, err
+    assert "shake" in outcomes["info of the model"][1]
     without = run(work, work, "info", "shaken.h5")
     assert without.returncode == 1
     assert "optimizer 'shake', expected dls or l-bfgs" in without.stderr
@@ -155,13 +166,19 @@ def lab_kernels(tmp_path_factory):
 @pytest.mark.skipif(sys.platform == "win32", reason="cells of commands are for bash")
 def test_a_kernel_and_a_mapping_of_another_package_embed_and_predict(work, lab_kernels):
     own = ("--kernel", "rational-quadratic", "--mapping", "fourth-root")
-    done = run(work, lab_kernels, "embed", "--kind", "gplvm", *own, "-M", "own.h5")
-    assert done.returncode == 0, done.stderr
-    shown = run(work, lab_kernels, "info", "own.h5").stdout
-    assert "rational-quadratic" in shown
-    assert "fourth-root" in shown
-    done = run(work, lab_kernels, "predict", "0.3,0.2", "-M", "own.h5", "-o", "own.bsdf")
-    assert done.returncode == 0, done.stderr
+    made = run_together(
+        [],
+        {
+            "embed": ["embed", "--kind", "gplvm", *own, "-M", "own.h5"],
+            "info": ["info", "own.h5"],
+            "predict": ["predict", "0.3,0.2", "-M", "own.h5", "-o", "own.bsdf"],
+        },
+        work,
+        installed=lab_kernels,
+    )
+    assert [status for status, _, _ in made.values()] == [0, 0, 0], made
+    assert "rational-quadratic" in made["info"][1]
+    assert "fourth-root" in made["info"][1]
     assert (work / "own.bsdf").exists()
     without = run(work, work, "predict", "0.3,0.2", "-M", "own.h5", "-o", "lost.bsdf")
     assert without.returncode == 1
@@ -185,7 +202,7 @@ np.testing.assert_allclose(T.inverse(T.forward(f)), f, rtol=1e-14)
 t, h = T.forward(f), 1e-6 * T.forward(f)
 np.testing.assert_allclose((T.inverse(t + h) - T.inverse(t - h)) / (2.0 * h), T.slope(f), rtol=1e-9)
 """
-    env = os.environ | {"PYTHONPATH": str(lab_kernels)}
+    env = with_packages(lab_kernels)
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=False, env=env
     )

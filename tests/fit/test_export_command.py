@@ -20,13 +20,15 @@ from manifold.fit.principled import fit_bsdf
 from manifold.io_rgl import write_bsdf
 from manifold.many.batch import batch
 from manifold.model.manifold import Manifold
-from manifold.pictures import export_sheet
 from manifold.pictures import fit_comparison as comparison
 from manifold.registries import TARGETS
 from manifold.render import fit_json
 from manifold.render.bsdf_parameters import principled
 
 COPPER = "syn_metal_copper"
+
+
+pytestmark = pytest.mark.usefixtures("quick_pictures")
 
 
 @pytest.fixture(autouse=True)
@@ -109,7 +111,7 @@ def test_an_export_that_is_not_a_close_fit_has_a_note(folder, tmp_path, monkeypa
     assert [one.content["errors"]["ball"] > 2.0 for one in found] == said == [False, True]
 
 
-def test_a_measured_file_is_fitted_on_the_way(folder, tmp_path, monkeypatch, quick_pictures):
+def test_a_measured_file_is_fitted_on_the_way(folder, tmp_path, monkeypatch):
     monkeypatch.setattr(comparison, "_PIXELS", 32)
     words = ["-o", tmp_path / "x.json", "--target", "unreal", "--picture"]
     result = run("export", folder / "copper_rgb.bsdf", *words)
@@ -187,8 +189,6 @@ def fitted_as_copper(monkeypatch, folder):
 def test_a_pack_has_a_page_of_balls_with_differences(tmp_path, monkeypatch, folder):
     library = small_library(tmp_path, names=NAMES[:2])
     fitted_as_copper(monkeypatch, folder)
-    monkeypatch.setattr(export_sheet, "_RINGS", 12)
-    monkeypatch.setattr(export_sheet, "_SPOKES", 8)
     out = tmp_path / "pack"
     result = run("export", library, "--pack", out, "--json", tmp_path / "r.json")
     assert result.exit_code == 0, result.output
@@ -347,9 +347,7 @@ def test_several_files_or_a_pattern_are_exported_into_a_folder(folder, tmp_path,
     assert "CIEDE2000" in run("info", "a1_unity.json").stdout
 
 
-def test_several_targets_are_drawn_beside_the_material(folder, tmp_path, monkeypatch):
-    monkeypatch.setattr(export_sheet, "_RINGS", 6)
-    monkeypatch.setattr(export_sheet, "_SPOKES", 6)
+def test_several_targets_are_drawn_beside_the_material(folder, tmp_path):
     words = ["export", folder / "copper_rgb.fit.json", "--target", "gltf,unity,usd-materialx", "--picture"]
     result = run(*words, "-o", tmp_path, "--json", tmp_path / "r.json")
     assert result.exit_code == 0, result.output

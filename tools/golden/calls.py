@@ -97,7 +97,6 @@ def python_completion(folder: Path) -> dict[str, Any]:
     return {
         "f": completed.brdf.eval(*at),
         "made of": completed.made_of,
-        "spread": completed.spread_at(*at),
         "gloss": completed.gloss,
         "misfits": completed.misfits,
         "expected": calibrate(atoms, readings).expected(completed).to_json(),

@@ -1,8 +1,9 @@
-"""Commands in a process in which some packages cannot be imported."""
+"""Commands in one process of their own, where some packages cannot be imported, or others are installed."""
 
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -27,22 +28,29 @@ exec(sys.argv[4])
 """
 
 
-def run_without(
+def run_together(
     missing: Sequence[str],
     commands: Mapping[str, Sequence[str]],
     folder: Path,
     first: str = "",
     last: str = "",
+    installed: Path | None = None,
 ) -> dict[str, list]:
     """Return status, stdout and stderr of each command, run in a folder one after the other.
 
     `first` and `last` are code that runs before and after them. `last` prints one line of JSON, whose value is returned
-    under its name.
+    under its name. `installed` is a folder of packages that can be imported.
     """
     words = json.dumps(missing), json.dumps(list(commands.values()))
     done = subprocess.run(
         [sys.executable, "-c", _PROGRAM, *words, first, last],
-        cwd=folder, capture_output=True, text=True, check=True,
+        cwd=folder, capture_output=True, text=True, check=True, env=with_packages(installed),
     )  # fmt: skip
     names = (*commands, "last") if last else commands
     return dict(zip(names, map(json.loads, done.stdout.splitlines()), strict=True))
+
+
+def with_packages(folder: Path | None) -> dict[str, str]:
+    """Return the environment of a process that can import the packages in a folder."""
+    path = os.pathsep.join(filter(None, (str(folder or ""), os.environ.get("PYTHONPATH"))))
+    return os.environ | {"PYTHONPATH": path}

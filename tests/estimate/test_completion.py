@@ -876,7 +876,7 @@ def test_expected_errors_are_at_least_those_of_left_out_readings(atoms):
     assert calibration.expected(made, better) == usual
     raised = calibration.expected(made, worse)
     assert (raised.ball, raised.elsewhere, raised.near_mirror) == (45.0, 0.9, usual.near_mirror)
-    assert advise(raised, None) == "do not use it: 90 % expected cube-root error beside highlights"
+    assert advise(raised, None).words == "do not use it: 90 % expected cube-root error beside highlights"
 
 
 def test_many_readings_or_one_are_not_left_out_in_turn(atoms):

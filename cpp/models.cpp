@@ -306,9 +306,47 @@ nb::tuple explore(Matrix<double> X, Matrix<double> K, Matrix<double> P, Matrix<c
     return nb::make_tuple(index, tried, has_drifted && !is_spent);
 }
 
+// Sums over all other samples j of w^-2 and of (x_i - x_j) w^-3, where w = 1 + |x_i - x_j|^2 / 3: similarities
+// (N,) by Student's t distribution of 3 degrees of freedom, and their forces (Q, N), for positions X (Q, N). The inner
+// loop is over i, so that it adds to arrays and not to one number, in an order that no processor changes.
+void repel(Matrix<const double> X, Vector<double> similarity, Matrix<double> force) {
+    const size_t Q = X.shape(0), N = X.shape(1);
+    require(similarity.size() == N && force.shape(0) == Q && force.shape(1) == N,
+            "expected positions (Q, N), and room for (N,) similarities and (Q, N) forces");
+    std::fill_n(similarity.data(), N, 0.0);
+    std::fill_n(force.data(), Q * N, 0.0);
+    std::vector<double> squared(N);
+    fastest([&]() INLINE_LAMBDA {
+        double *RESTRICT s = squared.data();
+        for (size_t j = 0; j < N; ++j) {
+            std::fill_n(s, N, 1.0);
+            for (size_t q = 0; q < Q; ++q) {
+                const double *RESTRICT x = X.data() + q * N;
+                const double at = x[j];
+                for (size_t i = 0; i < N; ++i) s[i] += (x[i] - at) * (x[i] - at) * (1.0 / 3.0);
+            }
+            double *RESTRICT sum = similarity.data();
+            const double of_others = sum[j];
+            for (size_t i = 0; i < N; ++i) {
+                const double near = 1.0 / s[i];
+                sum[i] += near * near;
+                s[i] = near * near * near;
+            }
+            sum[j] = of_others;
+            for (size_t q = 0; q < Q; ++q) {
+                const double *RESTRICT x = X.data() + q * N;
+                double *RESTRICT to = force.data() + q * N;
+                const double at = x[j];
+                for (size_t i = 0; i < N; ++i) to[i] += (x[i] - at) * s[i];
+            }
+        }
+    });
+}
+
 } // namespace
 
 void bind_models(nb::module_ &m) {
+    m.def("repel", &repel, "X"_a, "similarity"_a.noconvert(), "force"_a.noconvert(), Unlocked());
     m.def("solve_nonnegative", &solve_nonnegative, "gram"_a, "cross"_a, "tolerance"_a, "out"_a.noconvert(), Unlocked());
     m.def("explore", &explore, "X"_a.noconvert(), "K"_a.noconvert(), "P"_a.noconvert(), "S"_a, "work"_a.noconvert(),
           "state"_a.noconvert(), "family"_a, "inverse_l2"_a, "n_outputs"_a, "prior"_a, "largest_drift"_a,

@@ -80,6 +80,12 @@ def explore(
 ) -> tuple[int, int, bool]:  # fmt: skip
     """Explore from coordinate `index` until P has drifted; return the next index, the moves tried, and that fact."""
 
+def repel(X: Array, similarity: Array, force: Array) -> None:
+    """Write the similarities (N,) of samples at positions X (Q, N) to all others, and the forces (Q, N) between them.
+
+    Both are sums of powers of w = 1 + d^2 / 3 at distances d: of w^-2, and of w^-3 times the differences of positions.
+    """
+
 # surfaces.cpp
 
 def project_facets(w: Array, m: Array, area: Array, out: Array) -> None:

@@ -9,7 +9,7 @@ import scipy
 
 from manifold.core.metrics import relative_error
 from manifold.core.pairs import Pairs
-from manifold.core.records import Array, Indices, evenly_spaced
+from manifold.core.records import Array, Indices
 from manifold.gp.encoding import encoding_pairs
 from manifold.model.blend_space import BlendSpace, PlaceSearch, Rows
 from manifold.model.blending import START_NOISE, LayoutObjective, affinities
@@ -19,7 +19,6 @@ from manifold.model.latent_space import Embedded
 from manifold.model.materials import MaterialCache
 
 _COMPARED = 30  # samples that each sample is compared with
-_REPELLING = 1000  # number of samples that repel, at most
 _LIMITS = {"maxiter": 240, "maxfun": 360, "ftol": 1e-9, "gtol": 1e-7, "maxcor": 10}  # options of L-BFGS
 
 
@@ -41,7 +40,7 @@ def farthest_samples(count: int, distances_to: Callable[[int], Array]) -> Indice
 def landmark_layout(
     landmarks: Indices, anchors: Array, to_landmarks: Array, compare: Callable[[Indices], Array]
 ) -> Array:
-    """Return positions (N, Q) of N samples like `blend_layout`, approximately, at a cost linear in N.
+    """Return positions (N, Q) of N samples like `blend_layout`, approximately.
 
     Args:
         landmarks: indices of the landmarks, shape (M,).
@@ -50,22 +49,21 @@ def landmark_layout(
         compare: function that returns the distances (N, n) of all samples from samples with indices (N, n).
 
     Every other sample starts at the mean of the anchors, weighted by its affinities. Then all positions are refined.
-    A sample is attracted by landmarks and by samples with similar distances from the landmarks, and repelled by at
-    most 1000 samples, which represent all.
+    A sample is attracted by landmarks and by samples with similar distances from the landmarks, and repelled by all.
+    Distances are computed of a fixed number of samples from each; only the repulsion, a compiled loop, takes a time
+    quadratic in N.
     Source: van der Maaten & Hinton 2008, section 6, for landmarks among many samples.
     """
     N = len(to_landmarks)
     X: Array = affinities(to_landmarks) @ anchors
     X[landmarks] = anchors
     X += START_NOISE * X.std() * np.random.default_rng(0).normal(size=X.shape)
-    repelling = evenly_spaced(N, _REPELLING)
-    stand_for = np.full(len(repelling), N / len(repelling))
     of_landmarks = np.broadcast_to(landmarks, to_landmarks.shape)
     from_landmarks = np.where(of_landmarks == np.arange(N)[:, None], np.inf, to_landmarks)
     near = _similar(to_landmarks, min(_COMPARED, N - 1))
     distance = np.where(np.isin(near, landmarks), np.inf, compare(near))
     affinity = affinities(np.hstack([from_landmarks, distance]))
-    objective = LayoutObjective(np.hstack([of_landmarks, near]), affinity, repelling, stand_for)
+    objective = LayoutObjective(np.hstack([of_landmarks, near]), affinity)
     return objective.minimise(X, limits=_LIMITS)
 
 

@@ -117,7 +117,7 @@ class CompletedMaterial:
     Attributes:
         true, expected: errors of the completion, CIEDE2000 of the ball.
         left_out: true errors of all N materials when they are completed in this way, shape (N,).
-        pictures: pictures of its sphere and values beside the measured ones.
+        pictures: pictures of its ball and values beside the measured ones.
     """
 
     name: str

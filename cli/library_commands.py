@@ -390,7 +390,7 @@ def find(
 
 
 def _sought(text: str, sample: str | None, model: Path, library: Path) -> BRDF | Readings:
-    """Read the material of a file, name or place; readings if a file has such."""
+    """Read the material of a file, name or point; readings if a file has such."""
     from manifold.brdf.measured import MeasuredBRDF
     from manifold.estimate.source_files import read_source
     from manifold.estimate.sources import FileSource, parse_source

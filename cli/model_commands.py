@@ -287,7 +287,7 @@ def _of_process(fitted: Embedding, settings: GplvmSettings) -> dict[str, str]:
 
 
 def _of_errors(fitted: Embedding) -> dict[str, str]:
-    """Return rows on left-out materials, and on places between materials."""
+    """Return rows on left-out materials, and on points between materials."""
     import numpy as np
 
     from manifold.core.judged_lights import BALL

@@ -68,7 +68,7 @@ def fit(
     ] = False,
     sample: options.SampleOption = None,
     noise: Annotated[
-        float, typer.Option(help="Relative noise of the samples, as a lower bound.", metavar="SHARE")
+        float, typer.Option(help="Smallest relative noise that the fit assumes for the samples.", metavar="SHARE")
     ] = 0.01,
     workers: WorkerOptions = PER_CORE,
     picture: Annotated[

@@ -203,12 +203,12 @@ class Completed(Result):
             return None
         if found.ciede2000 is None:
             return (
-                f"{percent(np.median(found.relative))} of cube roots in the median if the others predict a reading, "
-                f"at most {percent(found.relative.max())}"
+                f"{percent(np.median(found.relative))} of cube roots (median, each reading predicted from the others), "
+                f"largest {percent(found.relative.max())}"
             )
         return (
-            f"CIEDE2000 ({self.viewing}) {np.median(found.ciede2000):.2f} in the median if the others predict a "
-            f"reading, largest {found.ciede2000.max():.2f}"
+            f"CIEDE2000 ({self.viewing}) {np.median(found.ciede2000):.2f} (median, each reading predicted from "
+            f"the others), largest {found.ciede2000.max():.2f}"
         )
 
     @property

@@ -262,7 +262,7 @@ def find_outlines(display: Array, where: str) -> list[Outline]:
     support, circle = max(refined, key=lambda pair: pair[0], default=(0.0, Circle(0.0, 0.0, 0.0)))
     if support < _LEAST_SUPPORT:
         raise UsageError(
-            f"{where}: no ball found (the best circle is an edge over {percent(support)} of its length, expected "
+            f"{where}: no ball found (edges cover {percent(support)} of the best circle, expected "
             f"{percent(_LEAST_SUPPORT)}); give its circle"
         )
     both = [Outline(one, _share_of_edges(smooth, one)) for one in (circle, _through_edges(smooth, circle))]

@@ -33,7 +33,7 @@ from manifold.model.prediction import ClippedBRDF
 if TYPE_CHECKING:
     from manifold.estimate.attributes import Adjusted, Attributes
 
-_RECOATED = "the coat was changed to reach the gloss; the expected error is that before this change"
+_RECOATED = "the coat was changed to reach the gloss; the expected error does not include this change"
 
 
 def predict(

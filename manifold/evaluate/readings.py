@@ -184,7 +184,7 @@ class Curve:
 
     @property
     def summary(self) -> list[tuple[int, Errors[float], Errors[float]]]:
-        """Numbers of readings with the medians and 90th percentiles of the errors, for numbers with known errors."""
+        """Number of readings, median and 90th percentile of the errors, for each number whose errors are known."""
         each = zip(self.counts, self.errors, strict=True)
         return [(n, e.median, e.p90) for n, e in each if not np.all(np.isnan(e.ball))]
 

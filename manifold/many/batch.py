@@ -448,9 +448,7 @@ def only_run_in(folder: Path, what: str) -> Iterator[None]:
 class OutputIndex:
     """An index of a folder's files and their inputs: one line of JSON per file, appended when the file is complete.
 
-    The last line of a file counts.
-
-    The index of `exports` is the file `exports.jsonl`.
+    If a file has several lines, the last one counts. The index of `exports` is the file `exports.jsonl`.
     """
 
     def __init__(self, folder: Path, what: str) -> None:

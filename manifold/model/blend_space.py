@@ -206,7 +206,7 @@ class BlendSpace(LatentSpace):
         return np.cbrt(np.maximum(self.reflectances, 0.0))
 
     def embedding_bands(self, n_bands: int) -> Indices:
-        """Return the indices of the bands that are compared to locate a material: the samples of the paths."""
+        """Return the indices of the bands that are compared to locate a material: those on the colour paths."""
         return self.bands
 
     def embedding_pairs(self, is_isotropic: bool = True) -> Pairs:

@@ -203,7 +203,7 @@ class Walked:
 
 
 def walk_shares(start: Walked, end: Walked) -> Array:
-    """Return the share of the end material at `WALK_NODES` even values of t; steps have equal CIEDE2000."""
+    """Return the shares of the end material at `WALK_NODES` even values of t, at which steps have equal CIEDE2000."""
     u = np.linspace(0.0, 1.0, _STEPS)
     positions = positions_between(start.highlight, end.highlight, u)
     share = u[:, None, None]

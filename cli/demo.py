@@ -256,7 +256,7 @@ def run(
 
 
 def complete_measured(folder: Path) -> CompletedMaterial:
-    """Complete the built-in material of median error from simulated readings with the others, and draw it."""
+    """Complete the built-in material with the median error from simulated readings and the other materials; draw it."""
     library = Library(shipped.BUILT_IN)
     atoms = atoms_of(library)
     measured = MeasuredBRDF(library.read(atoms.names[0]))

@@ -118,7 +118,7 @@ class Errors(Generic[Number]):
         return replace(self, **{name: np.hypot(getattr(self, name), getattr(other, name)) for name in both})
 
     def at_least(self, other: Errors[float]) -> Errors[Number]:
-        """Return the larger value of every error that both have, and the others as they are."""
+        """Return the larger value of each error that is known in both; the other errors stay as they are."""
         both = self.known.keys() & other.known.keys()
         return replace(self, **{name: max(getattr(self, name), getattr(other, name)) for name in both})
 

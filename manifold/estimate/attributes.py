@@ -369,7 +369,7 @@ def lab_of(brdf: EvaluableBRDF) -> Array:
 
 
 def factor_of_colour(lab: Array, bands: Bands) -> Array:
-    """Return the smoothest reflectance factor (B,) of a colour (3,), near that of a grey."""
+    """Return the smoothest reflectance factor (B,) of a colour (3,), close to the factor of a grey."""
     return tinted(np.full(bands.count, _GREY), np.asarray(lab, float), bands)
 
 

@@ -101,7 +101,7 @@ class Calibration:
         return self._at(plausible, residual, np.ones(len(self.residuals), bool))
 
     def notes(self, completion: Completion) -> tuple[str, ...]:
-        """Return a note if the residual exceeds that of every left-out material, and what noise can explain."""
+        """Return a note if the residual exceeds that of every left-out material and what noise can explain."""
         residual, has_pictures = completion.residual, bool(completion.evidence.pictures)
         if not self.is_beyond(residual) or (has_pictures and residual <= NOISY):
             return ()

@@ -148,7 +148,7 @@ def import_(
         bool,
         typer.Option(
             "--replace",
-            help="Replace materials whose file has changed, or whose form differs (compact or not).",
+            help="Replace materials whose file has changed, or that are stored in the other form (compact or not).",
         ),
     ] = False,
     compact: Annotated[

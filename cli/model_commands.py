@@ -433,7 +433,7 @@ def locate(
     workers: WorkerOptions = PER_CORE,
     json: options.JsonOption = None,
 ) -> None:
-    """Find the latent of a measured material on the fitted manifold.
+    """Find the point of a measured material on the map.
 
     With --json, the colours found are also written. The predictions of several materials are written into a folder,
     with a table and a picture of all balls.
@@ -496,7 +496,7 @@ def reconstruct(
     """Reconstruct a measured material from a library, by non-negative least squares in every band.
 
     This is the most accurate method of this program for a measured file: a non-negative combination of single bands of
-    all materials and of analytic lobes. It needs no model and gives no latent. Several materials are written into a
+    all materials and of analytic lobes. It needs no map and gives no point on one. Several materials are written into a
     folder, with a table and a picture of all balls.
     """
     from manifold.estimate import descriptions

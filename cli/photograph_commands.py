@@ -142,7 +142,7 @@ class PhotoOptions:
     ] = None
     linear: Annotated[
         bool,
-        typer.Option("--linear", help="The values of all pictures are linear.", rich_help_panel=TAKEN),
+        typer.Option("--linear", help="Read the values of all pictures as linear.", rich_help_panel=TAKEN),
     ] = False
     dark: Annotated[
         Path | None,

@@ -79,8 +79,8 @@ def fit(
     """Fit a BSDF of Mitsuba to measured files or to a predicted material.
 
     Writes one JSON per material: parameters, the difference between the rendered balls, residuals, all minima found,
-    and how well the samples determine each parameter. A repeated run keeps fits whose inputs have not changed. Several materials are
-    fitted into a folder, with a table and a picture of all balls.
+    and how well the samples determine each parameter. A repeated run keeps fits whose inputs have not changed. Several
+    materials are fitted into a folder, with a table and a picture of all balls.
     """
     from manifold.estimate.sources import FileSource, PlaceSource
     from manifold.fit import fits

@@ -175,7 +175,7 @@ class Application(typer.Typer):
 
 
 def with_groups(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a command whose parameters that are dataclasses of options are replaced by their fields."""
+    """Return the command with each parameter that is a dataclass of options replaced by its fields."""
     signature = inspect.signature(command, eval_str=True)
     groups: dict[str, Any] = {
         p.name: p.annotation for p in signature.parameters.values() if is_dataclass(p.annotation)

@@ -104,7 +104,7 @@ PointsOption = Annotated[
     Path | None,
     typer.Option(
         "--from",
-        help="Several latents: a CSV table with columns x,y,... or latent or material, and optionally name, like, "
+        help="Several points: a CSV table with columns x,y,... or latent or material, and optionally name, like, "
         "srgb, reflectance. The output is a folder; files of an earlier run that match their rows are kept.",
         metavar="CSV",
     ),

@@ -96,7 +96,7 @@ class MadeOptions(options.FileOptions):
     ] = None
 
     def ball(self, target: Path) -> Path | None:
-        """Return the path for the picture of a file's sphere; None if no picture is requested."""
+        """Return the path for the picture of a file's ball; None if no picture is requested."""
         return checked(target.with_suffix(".png"), "picture") if self.picture else None
 
 

@@ -117,7 +117,7 @@ class CompletedMaterial:
     Attributes:
         true, expected: errors of the completion, CIEDE2000 of the ball.
         left_out: true errors of all N materials when they are completed in this way, shape (N,).
-        pictures: pictures of its sphere and values beside the measured ones.
+        pictures: pictures of its ball and values beside the measured ones.
     """
 
     name: str
@@ -256,7 +256,7 @@ def run(
 
 
 def complete_measured(folder: Path) -> CompletedMaterial:
-    """Complete the built-in material of median error from simulated readings with the others, and draw it."""
+    """Complete the built-in material with the median error from simulated readings and the other materials; draw it."""
     library = Library(shipped.BUILT_IN)
     atoms = atoms_of(library)
     measured = MeasuredBRDF(library.read(atoms.names[0]))

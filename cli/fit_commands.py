@@ -68,7 +68,7 @@ def fit(
     ] = False,
     sample: options.SampleOption = None,
     noise: Annotated[
-        float, typer.Option(help="Relative noise of the samples, as a lower bound.", metavar="SHARE")
+        float, typer.Option(help="Smallest relative noise that the fit assumes for the samples.", metavar="SHARE")
     ] = 0.01,
     workers: WorkerOptions = PER_CORE,
     picture: Annotated[
@@ -78,9 +78,9 @@ def fit(
 ) -> None:  # fmt: skip
     """Fit a BSDF of Mitsuba to measured files or to a predicted material.
 
-    Writes one JSON per material: parameters, the difference on a lit ball, residuals, all minima found, and how well
-    the samples determine each parameter. A repeated run keeps fits whose inputs have not changed. Several materials are
-    fitted into a folder, with a table and a picture of all balls.
+    Writes one JSON per material: parameters, the difference between the rendered balls, residuals, all minima found,
+    and how well the samples determine each parameter. A repeated run keeps fits whose inputs have not changed. Several
+    materials are fitted into a folder, with a table and a picture of all balls.
     """
     from manifold.estimate.sources import FileSource, PlaceSource
     from manifold.fit import fits
@@ -201,13 +201,13 @@ def export(
         bool,
         typer.Option(
             "--picture",
-            help="Also draw the material beside the target's model, into NAME.png; all models of several targets.",
+            help="Also draw the material beside the target's model, into NAME.png; for several targets, all models.",
         ),
     ] = False,
     tolerance: Annotated[
         float | None,
         typer.Option(
-            help="For shaders: write the smallest table that differs from the material by at most so much "
+            help="For shaders: write the smallest table whose difference from the material is at most this "
             "({manifold.core.judged_lights.BALL}). [default: {manifold.core.defaults.SHADER_TOLERANCE}]",
             metavar="E",
         ),

@@ -148,7 +148,7 @@ def import_(
         bool,
         typer.Option(
             "--replace",
-            help="Replace materials whose file has changed, or whose form differs (compact or not).",
+            help="Replace materials whose file has changed, or that are stored in the other form (compact or not).",
         ),
     ] = False,
     compact: Annotated[
@@ -390,7 +390,7 @@ def find(
 
 
 def _sought(text: str, sample: str | None, model: Path, library: Path) -> BRDF | Readings:
-    """Read the material of a file, name or place; readings if a file has such."""
+    """Read the material of a file, name or point; readings if a file has such."""
     from manifold.brdf.measured import MeasuredBRDF
     from manifold.estimate.source_files import read_source
     from manifold.estimate.sources import FileSource, parse_source

@@ -287,7 +287,7 @@ def _of_process(fitted: Embedding, settings: GplvmSettings) -> dict[str, str]:
 
 
 def _of_errors(fitted: Embedding) -> dict[str, str]:
-    """Return rows on left-out materials, and on places between materials."""
+    """Return rows on left-out materials, and on points between materials."""
     import numpy as np
 
     from manifold.core.judged_lights import BALL
@@ -433,7 +433,7 @@ def locate(
     workers: WorkerOptions = PER_CORE,
     json: options.JsonOption = None,
 ) -> None:
-    """Find the latent of a measured material on the fitted manifold.
+    """Find the point of a measured material on the map.
 
     With --json, the colours found are also written. The predictions of several materials are written into a folder,
     with a table and a picture of all balls.
@@ -496,7 +496,7 @@ def reconstruct(
     """Reconstruct a measured material from a library, by non-negative least squares in every band.
 
     This is the most accurate method of this program for a measured file: a non-negative combination of single bands of
-    all materials and of analytic lobes. It needs no model and gives no latent. Several materials are written into a
+    all materials and of analytic lobes. It needs no map and gives no point on one. Several materials are written into a
     folder, with a table and a picture of all balls.
     """
     from manifold.estimate import descriptions

@@ -130,7 +130,7 @@ class AttributeOptions:
 OWN_COLOUR, NO_ATTRIBUTES = ColourOptions(), AttributeOptions()
 """None of these options."""
 MATERIAL = "FILE|NAME|X,Y|FROM:TO:T"
-"""Metavariable of a material: a file, a material of the library, or a place on the map."""
+"""Metavariable of a material: a file, a material of the library, or a point on the map."""
 GlossOption = Annotated[
     list[str] | None,
     typer.Option(

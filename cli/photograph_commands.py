@@ -142,7 +142,7 @@ class PhotoOptions:
     ] = None
     linear: Annotated[
         bool,
-        typer.Option("--linear", help="The values of all pictures are linear.", rich_help_panel=TAKEN),
+        typer.Option("--linear", help="Read the values of all pictures as linear.", rich_help_panel=TAKEN),
     ] = False
     dark: Annotated[
         Path | None,
@@ -272,7 +272,7 @@ def complete_photographs(
     readings: Sequence[Path] | None, sample: str | None, gloss: Sequence[str] | None, lab: str | None, picture: bool,
     report: Path | None, suggest: int, written: OutputOptions,
 ) -> None:  # fmt: skip
-    """Complete photographs, and readings, gloss and colour of the same material, and print the result."""
+    """Estimate a material from photographs and, if given, its readings, gloss and colour; print the result."""
     from manifold.estimate import completions, instruments, reports
     from manifold.estimate.attributes import readings_of_colour
     from manifold.library.store import Library

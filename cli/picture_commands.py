@@ -36,7 +36,8 @@ def latent_map(
     mark: Annotated[
         str | None,
         typer.Option(
-            help="Also show the prediction at this point, or where a material lies.", metavar=options.MATERIAL
+            help="Also show the prediction at this point, or the point of a material.",
+            metavar=options.MATERIAL,
         ),
     ] = None,
     colour: options.ColourOptions = options.OWN_COLOUR,
@@ -89,10 +90,10 @@ def walk(
     output: PictureOption = Path("walk.png"),
     json: options.JsonOption = None,
 ) -> None:
-    """Draw a walk between two materials in perceptually equal steps, and predictions between their latents.
+    """Draw a walk between two materials in perceptually equal steps, and predictions between their points on the map.
 
     A walk uses only the two materials: it interpolates their roughness and averages the rest. The second row shows
-    predictions from all surrounding materials, on the straight line between the two latents.
+    predictions from all surrounding materials, on the straight line between the two points.
     `manifold predict FROM:TO:T -o FILE.bsdf` and `manifold export FROM:TO:T` write a step of the walk.
     """
     from manifold.pictures import maps
@@ -279,8 +280,8 @@ def render(
         bool,
         typer.Option(
             "--direct",
-            help="Render with the `manifold` BSDF plugin, which combines the library's materials while rendering, not "
-            "with a sampled file; needs LLVM.",
+            help="Render with the `manifold` BSDF plugin, which combines the library's materials while rendering, "
+            "instead of sampling them into a file first; needs LLVM.",
         ),
     ] = False,
     output: Annotated[

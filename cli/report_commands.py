@@ -56,7 +56,7 @@ def report(
         ),
     ] = False,
     picture: Annotated[
-        bool, typer.Option("--picture", help="Also draw the map of the latents, into the model's name, .png.")
+        bool, typer.Option("--picture", help="Also draw the map, into a .png named after the model.")
     ] = False,
     full: Annotated[
         bool,
@@ -153,8 +153,8 @@ def chart(
         bool,
         typer.Option(
             "--readings",
-            help="Chart errors of completions against the number of readings instead (minutes; fewer with --only "
-            "completion, ridge, ridge_same, nearest or principled; ridge_same reads where completion does).",
+            help="Chart errors of completions against the number of readings instead. Takes minutes; fewer with --only "
+            "completion, ridge, ridge_same, nearest or principled (ridge_same is ridge at completion's directions).",
         ),
     ] = False,
     workers: OneWorkerOptions = ONE,
@@ -367,8 +367,8 @@ def budget(
         bool,
         typer.Option(
             "--picture",
-            help="Also draw both renders and the cost of every representation, into the folder's name, .png, or "
-            "budget.png.",
+            help="Also draw both renders and the cost of every representation, into FOLDER.png, or "
+            "budget.png without a folder.",
         ),
     ] = False,
     json: options.JsonOption = None,

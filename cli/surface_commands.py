@@ -48,7 +48,7 @@ def surface(
         ),
     ] = None,
     size: Annotated[
-        int, typer.Option(help="Pixels of a side of the textures.", metavar="N", min=192, max=8192)
+        int, typer.Option(help="Width and height of the textures, in pixels.", metavar="N", min=192, max=8192)
     ] = 1024,
     target: Annotated[
         list[str] | None,

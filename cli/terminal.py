@@ -200,7 +200,7 @@ def parameter_rows(parameters: Mapping[str, Any]) -> dict[str, object]:
 
 
 def numbered(label: str, values: Sequence[object]) -> dict[str, object]:
-    """Return rows of `Results.rows` for several values with one label; the second is labelled `label 2`."""
+    """Return rows of `Results.rows` for values with the same label, numbered from the second on: `label`, `label 2`."""
     return {label if k == 1 else f"{label} {k}": value for k, value in enumerate(values, start=1)}
 
 

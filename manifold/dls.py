@@ -46,8 +46,8 @@ class MoveObjective(Protocol):
         """Move each coordinate by plus and minus its step, keep improvements, and return the number of trials.
 
         Args:
-            steps: step of each coordinate, > 0, shape (n,). A step that would pass a limit ends at it; none is tried
-                at it.
+            steps: step of each coordinate, > 0, shape (n,). A step that would pass a limit ends at the limit; from
+                there, no step beyond it is tried.
             heading: the sign, +1 or -1, that is tried first for each coordinate, shape (n,); it is overwritten by the
                 sign that succeeded.
             limits: lowest and highest coordinates, each of shape (n,).

@@ -15,7 +15,7 @@ LEAST_RESOLUTION = 4
 
 
 class EvaluableBRDF(Protocol):
-    """The interface of a BRDF that can be evaluated; fits, rendered spheres and plots of slices need no more."""
+    """The interface of a BRDF that can be evaluated; fits, rendered balls and plots of slices need no more."""
 
     @property
     def bands(self) -> Bands:

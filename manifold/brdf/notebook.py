@@ -1,4 +1,4 @@
-"""Pictures of BRDFs in notebooks: a sphere in studio light, computed by quadrature."""
+"""Pictures of BRDFs in notebooks: a ball in studio light, computed by quadrature."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _BLOCK = 128  # pixels evaluated at once: 40,000 direction pairs
 
 
 class NotebookPicture:
-    """Base class of BRDFs that notebooks show as a lit sphere."""
+    """Base class of BRDFs that notebooks show as a rendered ball."""
 
     def _repr_png_(self: BRDF) -> bytes:
         return ball_png(self)
 
 
 def ball_png(brdf: BRDF) -> bytes:
-    """Return a picture of a sphere with a BRDF as a PNG file of 64 x 64 pixels, transparent around the sphere."""
+    """Return a picture of a ball with a BRDF as a PNG file of 64 x 64 pixels, transparent around the ball."""
     from PIL import Image
 
     shown, inside = ball_image(brdf, _PIXELS)
@@ -40,12 +40,12 @@ def ball_png(brdf: BRDF) -> bytes:
 def ball_image(
     brdf: EvaluableBRDF, size: int, rings: int = _RINGS, spokes: int = _SPOKES
 ) -> tuple[Array, Mask]:
-    """Return a picture of a sphere with a BRDF, display values (size, size, 3), and the mask of the sphere's pixels."""
+    """Return a picture of a ball with a BRDF, display values (size, size, 3), and the mask of the ball's pixels."""
     return _picture(brdf, ball_colours.ball(size, rings, spokes), size)
 
 
 def sun_image(brdf: EvaluableBRDF, size: int, degrees: float) -> tuple[Array, Mask]:
-    """Return a picture of a sphere under a sun at `degrees` from the view, and the mask of its lit pixels."""
+    """Return a picture of a ball under a sun at `degrees` from the view, and the mask of its lit pixels."""
     return _picture(brdf, ball_colours.sun_ball(degrees, size), size)
 
 

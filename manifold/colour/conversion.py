@@ -155,7 +155,7 @@ def xyz_to_srgb(xyz: Array, white: Array | None = None) -> Array:
 
 
 def srgb_to_xyz(linear: Array) -> Array:
-    """Convert linear sRGB (..., 3) to CIE XYZ; white is that of D65 with Y = 1."""
+    """Convert linear sRGB (..., 3) to CIE XYZ; the white is D65 with Y = 1."""
     return np.asarray(linear) @ SRGB_TO_XYZ.T
 
 

@@ -72,8 +72,8 @@ def lab_values(f: Array, bands: Bands, viewing: Viewing = DAYLIGHT) -> Array:
 def lab_under_d65(lab: Array, viewing: Viewing) -> Array:
     """Convert CIELAB (..., 3) under another light or for another observer to D65 and the 2 degree observer.
 
-    Both are relative to their whites. The colour does not determine the spectrum; a combination of smooth spectra
-    of the primaries is assumed.
+    Input and output are relative to the white of their light and observer. The colour does not determine the
+    spectrum; a combination of smooth spectra of the primaries is assumed.
     Source: Mallett & Yuksel 2019, for the spectra.
     """
     if viewing == DAYLIGHT:

@@ -53,7 +53,7 @@ class Conversion(Result):
     """The result of a conversion.
 
     Attributes:
-        files: the input files, or the place on the map.
+        files: the input files, or the point on the map.
         source, target: texts that name the input and the format of the output.
         nodes: number of nodes of the input at which the written file was compared with it.
         median, percentile_95: median and 95th percentile of the relative error `|f* - f| / |f|` over nodes and bands.
@@ -115,7 +115,7 @@ def convert(
     """Convert a file of a BRDF or of readings into another format, and measure the conversion error.
 
     Args:
-        paths: one file, the files of one specimen, or a place on the map, whose prediction is converted.
+        paths: one file, the files of one specimen, or a point on the map, whose prediction is converted.
         output: the file to write; its suffix chooses the format.
         to: one of `CONVERTED`, if the suffix is ambiguous.
         sample: name of the specimen, for a file with several.
@@ -182,7 +182,7 @@ def convert(
 
 @contextmanager
 def conversion_input(sources: Sequence[MaterialSource]) -> Iterator[Sequence[Path] | PlaceSource]:
-    """Yield the input of `convert` for a path or place; temporary files of it exist during the block."""
+    """Yield the input of `convert` for a path or point; temporary files of it exist during the block."""
     if len(sources) == 1 and isinstance(sources[0], PlaceSource):
         yield sources[0]
         return
@@ -194,7 +194,7 @@ def conversion_input(sources: Sequence[MaterialSource]) -> Iterator[Sequence[Pat
 
 
 def _predicted(place: PlaceSource) -> tuple[DiagnosedPrediction, BsdfFile]:
-    """Return the prediction at a place, and its file."""
+    """Return the prediction at a point, and its file."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / f"{place.name}.bsdf"
         made = predict(place.model, place.place, path, library=place.library, colour=place.colour)

@@ -274,9 +274,13 @@ def _write_bird(path: Path, source: ConversionSource, options: Options) -> list[
     bird.write(path, rows, "simulation" if is_estimated else "measurement")
     notes = ["fill in organisation, contact, place, instrument and time, which are 'not stated' or 'NA'"]
     if np.any(rows.scatter > 0.0):
-        of = "as the file says" if source.expected_error is None else "those expected of cube roots"
+        of = (
+            "as the file says"
+            if source.expected_error is None
+            else "three times the expected cube-root error"
+        )
         notes.append(
-            f"relative uncertainties are {of}: {300.0 * float(np.median(rows.scatter)):.2g} % in the median"
+            f"relative uncertainties are {of} (median {300.0 * float(np.median(rows.scatter)):.2g} %)"
         )
     return notes
 

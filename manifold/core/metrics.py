@@ -31,19 +31,19 @@ class Errors(Generic[Number]):
     """Errors of BRDFs against a reference: numbers for one BRDF, arrays of any shape for several; NaN if unknown.
 
     Attributes:
-        ball: ball error: mean CIEDE2000 over a rendered sphere and the five test lights; see `colour.panel`.
+        ball: ball error: mean CIEDE2000 over the ball (a rendered sphere) and five test lights, see `colour.panel`.
         cube_root: `||(w f*)^(1/3) - (w f)^(1/3)|| / ||(w f)^(1/3)||`, where w is the product of both cosines.
         linear: `||w (f* - f)|| / ||w f||`.
-        worst, worst_light: mean CIEDE2000 over the sphere in the light where it is largest; the light's name (of one
+        worst, worst_light: mean CIEDE2000 over the ball in the light where it is largest; the light's name (of one
             BRDF).
-        ball_itp: mean Delta E_ITP (ITU-R BT.2124) over the sphere and the five test lights.
-        fitted_ball: mean CIEDE2000 over the sphere and the lights of fits.
+        ball_itp: mean Delta E_ITP (ITU-R BT.2124) over the ball and the five test lights.
+        fitted_ball: mean CIEDE2000 over the ball and the lights of fits.
         rmse: eq. 22 of Hikichi & Iwasaki, in 1/sr; bands are summed.
         rmse_80: like `rmse`, over directions within 80 degrees of the normal, weighted by both cosines.
         near_mirror: cube-root error of directions within `NEAR_MIRROR_DEG` of the mirror direction.
         elsewhere: cube-root error of all other directions.
         scaled_ball: ball error after multiplying f* by the factor that fits best.
-        lights: mean CIEDE2000 over the sphere, by light.
+        lights: mean CIEDE2000 over the ball, by light.
         colours: CIEDE2000 by illuminant, averaged over six directions of a multi-angle instrument.
         angles_deg: spectral angle by illuminant, averaged over the same directions.
     """
@@ -118,7 +118,7 @@ class Errors(Generic[Number]):
         return replace(self, **{name: np.hypot(getattr(self, name), getattr(other, name)) for name in both})
 
     def at_least(self, other: Errors[float]) -> Errors[Number]:
-        """Return the larger value of every error that both have, and the others as they are."""
+        """Return the larger value of each error that is known in both; the other errors stay as they are."""
         both = self.known.keys() & other.known.keys()
         return replace(self, **{name: max(getattr(self, name), getattr(other, name)) for name in both})
 

@@ -45,7 +45,7 @@ _MOST_SHOWN = 6  # materials of a mixture
 
 @cache
 def ball_coordinates() -> Array:
-    """Return coordinates of the direction pairs of a sphere in the five test lights, see `residual.coordinates`."""
+    """Return coordinates of the direction pairs of a ball in the five test lights, see `residual.coordinates`."""
     lights = panel.judged()
     return coordinates(lights.wi, lights.wo)
 
@@ -79,10 +79,10 @@ class LibraryAtoms:
         atom_bands: indices of the bands that are atoms, shape (B_s,); atom k * B_s + s is band s of material k.
         materials: the m materials, in these bands only.
         directions: cube roots of the bands and the Lambertian at the encoding grid, then at some direction pairs of a
-            lit sphere, shape (m B_s + 1, P).
-        weights: weights of these direction pairs, which give grid and sphere the same energy, shape (P,).
+            ball, shape (m B_s + 1, P).
+        weights: weights of these direction pairs, which give grid and ball the same energy, shape (P,).
         grid: the encoding grid.
-        ball: cube roots at all direction pairs of a sphere in the five test lights, shape (m B_s + 1, P_b).
+        ball: cube roots at all direction pairs of a ball in the five test lights, shape (m B_s + 1, P_b).
         is_linear: whether values are combined instead of cube roots.
     """
 
@@ -184,7 +184,7 @@ class LibraryAtoms:
         return len(self.names) * len(self.atom_bands)
 
     def usable(self, prior: Array) -> Mask:
-        """Return a mask (n,) of usable atoms: library, coats with prior weight (B, n) above 0, and Lambertian."""
+        """Return a mask (n,) of usable atoms: the library's, the Lambertian, and coats of sufficient prior (B, n)."""
         totals = np.bincount(self.material_of, prior.mean(axis=0))
         totals[: len(self.names)] = totals[-1] = np.inf
         return np.asarray(totals[self.material_of] > _LEAST_COAT)
@@ -263,7 +263,7 @@ class LibraryAtoms:
 
     @cached_property
     def on_ball(self) -> Array:
-        """Pixels of the atoms' spheres in the five test lights, shape (n, K); for atoms of values."""
+        """Pixels of the atoms' balls in the five test lights, shape (n, K); for atoms of values."""
         lights = panel.judged()
         return lights.of(self._from_roots(self.ball, lights).T).T
 

@@ -236,7 +236,7 @@ class Adjusted:
     """A material that was adjusted to requested attributes.
 
     Attributes:
-        place: its place on the map, with the rotation of the given material; None if a material's own values were
+        place: its point on the map, with the rotation of the given material; None if a material's own values were
             edited.
         colours: its colours, as `Manifold.predict` takes them.
         asked, reached: requested and reached values by key of `ATTRIBUTES`; they include the colour.
@@ -345,7 +345,7 @@ def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: Colour
 
 
 def _colours_at(model: Manifold, place: Place, factor: Array) -> Array:
-    """Return colours (B,) at which a place has a reflectance factor (B,) in the geometry 45/0, as the sample lies."""
+    """Return colours (B,) at which a point has a reflectance factor (B,) in the geometry 45/0, as the sample lies."""
     pairs = Pairs(*(rotate_z(w[None], -place.rotation_rad) for w in COLOUR_GEOMETRY))
     decoder = decoder_at(pairs, model.space, model.materials, model.settings)
     return require_blends(model.space).colours_of(place.latent, factor, decoder, np.array([np.pi]))[0]
@@ -369,7 +369,7 @@ def lab_of(brdf: EvaluableBRDF) -> Array:
 
 
 def factor_of_colour(lab: Array, bands: Bands) -> Array:
-    """Return the smoothest reflectance factor (B,) of a colour (3,), near that of a grey."""
+    """Return the smoothest reflectance factor (B,) of a colour (3,), close to the factor of a grey."""
     return tinted(np.full(bands.count, _GREY), np.asarray(lab, float), bands)
 
 
@@ -444,7 +444,7 @@ def find(
 
     Args:
         library: the library to search.
-        material: a BRDF, which is compared as a sphere in the five test lights; or readings, which are compared at
+        material: a BRDF, which is compared as a ball in the five test lights; or readings, which are compared at
             their geometries.
         lab: CIELAB colour in the geometry 45/0 under D65, shape (3,); None for any colour.
         gloss: gloss units by angle: 20, 60 or 85 degrees.

@@ -242,7 +242,7 @@ def complete(
         library: library whose bands the file has, and on whose materials the expected error is measured.
         sample: the colour and gloss.
         output: the `.bsdf` file to write.
-        picture: file for a picture of the rendered sphere; None renders none.
+        picture: file for a picture of the ball; None renders none.
         count: number of directions to suggest for the next readings.
         instrument: instrument whose directions are suggested; None allows any direction.
         options: options of the file.

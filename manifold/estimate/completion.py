@@ -61,7 +61,7 @@ class Alternative:
         probability: posterior probability of this mixture and of all mixtures that look like it.
         misfit: relative error at the readings (mean over bands) or of the pixels, before the mixture is adjusted to
             them; root mean square over this mixture and those that look like it.
-        difference: relative difference of cube roots on the sphere from the mean of all mixtures.
+        difference: relative difference of cube roots on the ball from the mean of all mixtures.
     """
 
     like: tuple[tuple[str, float], ...]
@@ -177,9 +177,9 @@ class Completion:
 
     @cached_property
     def on_ball(self) -> Array:
-        """Values f at all direction pairs of a lit sphere, shape (P_b, B).
+        """Values f at all direction pairs of a ball, shape (P_b, B).
 
-        If there are pictures, they are the sphere's pixels (K, 3) instead.
+        If there are pictures, they are the ball's pixels (K, 3) instead.
         """
         if self.atoms.is_linear:
             return (self.solution.weights @ self.atoms.on_ball).T
@@ -347,7 +347,7 @@ class Completion:
 
     @cached_property
     def contributions(self) -> dict[str, float]:
-        """Mean CIEDE2000 over a sphere by which each observation changes the completion, by name.
+        """Mean CIEDE2000 over a ball by which each observation changes the completion, by name.
 
         Source: Cook 1977, "Detection of influential observation in linear regression" (deletion of each).
         """
@@ -358,7 +358,7 @@ class Completion:
 
     @cached_property
     def ball_xyz(self) -> Array:
-        """CIE XYZ values (K, 3) of the sphere's pixels in the five test lights, in the order of `Picture.xyz`."""
+        """CIE XYZ values (K, 3) of the ball's pixels in the five test lights, in the order of `Picture.xyz`."""
         if self.atoms.is_linear:
             return srgb_to_xyz(np.clip(self.on_ball, 0.0, 1.0))
         return panel.judged().xyz(self.on_ball, self.bands)
@@ -419,7 +419,7 @@ class Completion:
 
     @cached_property
     def alternatives(self) -> tuple[Alternative, ...]:
-        """Mixtures that differ visibly from each other on a sphere, most probable first."""
+        """Mixtures that differ visibly from each other on a ball, most probable first."""
         probability, weights = self._mixtures
         order = np.argsort(-probability, kind="stable")
         probability, weights, squares = probability[order], weights[order], self._squared_misfits[order]
@@ -452,7 +452,7 @@ class Completion:
 
     @property
     def made_of(self) -> tuple[tuple[str, float], ...]:
-        """Names of the completion's materials with their weights or, from pictures, shares of the sphere's light.
+        """Names of the completion's materials with their weights or, from pictures, shares of the ball's light.
 
         The list begins with the largest.
         """

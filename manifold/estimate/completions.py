@@ -81,8 +81,8 @@ class Completed(Result):
     """A completed material that was written to a file.
 
     Attributes:
-        path: path of the file; None if only a place on a map was requested.
-        picture: picture of its sphere, or of photographs beside predictions; None if none was requested.
+        path: path of the file; None if only a point on a map was requested.
+        picture: picture of its ball, or of photographs beside predictions; None if none was requested.
         completion: the completion, with errors that refer to the written file.
         correction: colour correction of a second instrument, learned from its readings; None if there was none to
             learn.
@@ -203,12 +203,12 @@ class Completed(Result):
             return None
         if found.ciede2000 is None:
             return (
-                f"{percent(np.median(found.relative))} of cube roots in the median if the others predict a reading, "
-                f"at most {percent(found.relative.max())}"
+                f"{percent(np.median(found.relative))} of cube roots (median, each reading predicted from the others), "
+                f"largest {percent(found.relative.max())}"
             )
         return (
-            f"CIEDE2000 ({self.viewing}) {np.median(found.ciede2000):.2f} in the median if the others predict a "
-            f"reading, largest {found.ciede2000.max():.2f}"
+            f"CIEDE2000 ({self.viewing}) {np.median(found.ciede2000):.2f} (median, each reading predicted from "
+            f"the others), largest {found.ciede2000.max():.2f}"
         )
 
     @property
@@ -245,7 +245,7 @@ class Completed(Result):
         is_detail=True,
     )  # fmt: skip
     def made_of(self) -> dict[str, float]:
-        """Weights of the materials by name or, from photographs, their shares of the sphere's light."""
+        """Weights of the materials by name or, from photographs, their shares of the ball's light."""
         return dict(self.completion.made_of)
 
     @property
@@ -263,7 +263,7 @@ class Completed(Result):
     @property
     @derived(row="change of the ball", words=lambda result: result.contributions_in_words(), is_detail=True)
     def contributions(self) -> dict[str, float]:
-        """CIEDE2000 by which the sphere changes without an observation, by name, see `Completion.contributions`."""
+        """CIEDE2000 by which the ball changes without an observation, by name, see `Completion.contributions`."""
         return self.completion.contributions
 
     def contributions_in_words(self) -> str | None:
@@ -335,8 +335,8 @@ class Photographed(Completed):
     """A material completed from photographs, and perhaps readings.
 
     Attributes:
-        balls: the spheres that the photographs show.
-        located: its place on a map; None if none was requested.
+        balls: the balls that the photographs show.
+        located: its point on a map; None if none was requested.
         plan: lamp positions for further photographs; None if no suggestion was requested.
     """
 
@@ -355,7 +355,7 @@ class Photographed(Completed):
         ],
     )
     def photographs(self) -> list[dict[str, Any]]:
-        """Files of the photographs, with the spheres, lamps and residuals."""
+        """Files of the photographs, with the balls, lamps and residuals."""
         return [
             {
                 "path": ball.photograph.path,
@@ -372,7 +372,7 @@ class Photographed(Completed):
         row="latent", words=lambda result: result.located and ",".join(result.located.coordinates), json=False
     )
     def latent(self) -> Array | None:
-        """Its latent on a map; None if no place was requested."""
+        """Its latent on a map; None if no point was requested."""
         return None if self.located is None else self.located.latent
 
     @property
@@ -406,7 +406,7 @@ class Photographed(Completed):
 
     @property
     def balls_with_residuals(self) -> list[tuple[SeenBall, float, float | None]]:
-        """The spheres with the residual of their pixels, and with the error when the other pictures predict them."""
+        """The balls with the residual of their pixels, and with the error when the other pictures predict them."""
         residuals = self.completion.solution.residuals.tolist()
         errors = self.completion.picture_errors or [None] * len(residuals)
         return list(zip(self.balls, residuals, errors, strict=True))
@@ -422,7 +422,7 @@ class Photographed(Completed):
     @property
     @derived(row="change of the ball", words=lambda result: result.contributions_in_words(), is_detail=True)
     def contributions(self) -> dict[str, float]:
-        """CIEDE2000 by which the sphere changes without an observation, by the name of the observation or picture."""
+        """CIEDE2000 by which the ball changes without an observation, by the name of the observation or picture."""
         names = {f"picture {k}": ball.photograph.path.name for k, ball in enumerate(self.balls, start=1)}
         return {names.get(name, name): off for name, off in self.completion.contributions.items()}
 
@@ -437,7 +437,7 @@ def observe(
 ) -> tuple[Completion, Calibration, tuple[SeenBall, ...]]:
     """Complete the readings, gloss and pictures of a material with a library as prior.
 
-    Returns the completion, the calibration of its expected errors, and the spheres in the pictures.
+    Returns the completion, the calibration of its expected errors, and the balls in the pictures.
     """
     balls: tuple[SeenBall, ...] = ()
     if pictures is not None:
@@ -509,11 +509,11 @@ def complete(
         readings: readings of the specimen, or the path of their file; the colour of the instrument's own picture
             replaces a missing spectrum. None if there are only photographs.
         output: the file to write; the material is named after it.
-        pictures: photographs of spheres of the material, and how they were taken.
+        pictures: photographs of balls of the material, and how they were taken.
         gloss: gloss units by angle in degrees, in addition to those of the readings.
         sample: name of the specimen, if the file has several.
         correction: colour correction from `instruments.read`, for the report.
-        picture: file for a picture of the sphere, or of the photographs beside their predictions; None draws none.
+        picture: file for a picture of the ball, or of the photographs beside their predictions; None draws none.
         count: number of further readings, or of photographs if there are any, to suggest.
         instrument: name of the instrument whose directions are suggested; None allows any.
         options: options of the output file.
@@ -674,7 +674,7 @@ def _of_unit(readings: Readings | None, plausibility: Plausibility) -> tuple[str
 
 
 def draw_ball(file: Path, picture: Path) -> None:
-    """Render a sphere with the BRDF of a file, and write the picture."""
+    """Render a ball with the BRDF of a file, and write the picture."""
     from manifold.render import ball, images
     from manifold.render.render import RenderSettings
 

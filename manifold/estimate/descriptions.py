@@ -119,7 +119,7 @@ def locate_photographs(
     picture: Path | None = None,
     options: OutputOptions = DEFAULT_OPTIONS,
 ) -> Photographed:
-    """Locate photographed spheres on a fitted manifold, and write the prediction there.
+    """Locate photographed balls on a fitted manifold, and write the prediction there.
 
     `library` is the path of the model's library, if it was moved. `picture` is described in `completions.complete`.
     """

@@ -101,7 +101,7 @@ class Calibration:
         return self._at(plausible, residual, np.ones(len(self.residuals), bool))
 
     def notes(self, completion: Completion) -> tuple[str, ...]:
-        """Return a note if the residual exceeds that of every left-out material, and what noise can explain."""
+        """Return a note if the residual exceeds that of every left-out material and what noise can explain."""
         residual, has_pictures = completion.residual, bool(completion.evidence.pictures)
         if not self.is_beyond(residual) or (has_pictures and residual <= NOISY):
             return ()
@@ -322,8 +322,8 @@ def errors_of_weights(atoms: LibraryAtoms, m: int, weights: Array) -> Errors[flo
 def errors_of(atoms: LibraryAtoms, m: int, on_grid: Array, on_ball: Array) -> Errors[float]:
     """Return the errors of values f predicted for material m, in the bands of the atoms; unknown if f is not finite.
 
-    `on_grid` (P_g, B_s) is f on the grid, `on_ball` (P_b, B_s) f at the direction pairs of a sphere in the five test
-    lights. For atoms of values, both are in the channels of a camera: (P_g, 3), and the pixels of the sphere (K, 3).
+    `on_grid` (P_g, B_s) is f on the grid, `on_ball` (P_b, B_s) f at the direction pairs of a ball in the five test
+    lights. For atoms of values, both are in the channels of a camera: (P_g, 3), and the pixels of the ball (K, 3).
     """
     if not np.all(np.isfinite(on_ball)):
         return Errors()

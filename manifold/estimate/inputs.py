@@ -178,7 +178,7 @@ class Input:
 
 @lru_cache
 def _sha256(path: Path, changed_ns: int) -> str:
-    """Return the hash of a model, cached because many places may share it."""
+    """Return the hash of a model, cached because many points may share it."""
     return file_sha256(path)
 
 
@@ -255,9 +255,9 @@ _EXPECTED = (
 
 
 def read_points(path: Path, model: Path, library: Path | None = None) -> tuple[list[Input], list[str]]:
-    """Read a table of places on a map; return the places, and the errors of invalid rows, which do not stop the others.
+    """Read a table of points on a map; return the points, and the errors of invalid rows, which do not stop the others.
 
-    The place is in the columns `x`, `y`, `z` or `x1`, `x2`, ... (coordinates), `latent` (all coordinates in one
+    The point is in the columns `x`, `y`, `z` or `x1`, `x2`, ... (coordinates), `latent` (all coordinates in one
     cell), or `material` (a name). `name` names the output; without it, outputs are numbered. At most one of `like`,
     `srgb` and `reflectance` gives a colour; paths are relative to the folder of the table. Columns are separated by
     comma, semicolon or tab; Excel's line `sep=;` may come first. From a table written by `locate` or `predict`,

@@ -1,4 +1,4 @@
-"""Predicts the errors of estimates from photographs of a sphere for lamp positions, and suggests the next positions.
+"""Predicts the errors of estimates from photographs of a ball for lamp positions, and suggests the next positions.
 
 Each of the library's materials is left out and estimated from simulated photographs with the others. For an isotropic
 material, only the angle between lamp and camera matters.
@@ -29,7 +29,7 @@ from manifold.library.store import Library
 from manifold.model.estimator import Observation
 
 ANGLES_DEG = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0, 90.0, 110.0, 130.0)
-"""Angles between lamp and camera, seen from the sphere, that are tried."""
+"""Angles between lamp and camera, seen from the ball, that are tried."""
 
 _LEFT_OUT = 10  # materials by which errors are measured
 _ACROSS, _WITHIN = 18, 0.95  # pixels across a ball, and of its radius

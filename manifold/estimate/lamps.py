@@ -1,4 +1,4 @@
-"""Lamps that light a photographed sphere: discs in the camera's frame, distant or near.
+"""Lamps that light a photographed ball: discs in the camera's frame, distant or near.
 
 The frame is that of photometric stereo: x to the right, y up, z towards the camera. Values of photographs under lamps
 are relative to a white diffuser that faces the lamp at its distance. A photograph of a mirror ball in the same place
@@ -26,9 +26,9 @@ from manifold.estimate.pixels import Blocks, Camera, frames, sampled_surface
 from manifold.formats.text import data_lines, decode, list_rows, number, with_whole_name
 
 LEAST_DISTANCE = 1.2
-"""Smallest distance of a lamp from the centre of a sphere, in radii of the sphere."""
+"""Smallest distance of a lamp from the centre of a ball, in radii of the ball."""
 MOST_DISTANCE = 1e6
-"""Largest distance of a near lamp or camera, in radii of the sphere; beyond it they are treated as infinitely far."""
+"""Largest distance of a near lamp or camera, in radii of the ball; beyond it they are treated as infinitely far."""
 SAMPLES = 24
 """Number of points per block of pixels at which the light of lamps is evaluated."""
 
@@ -43,13 +43,13 @@ _LEAST_SPOT = 0.1  # share of the largest spot's light; smaller ones stay as the
 
 @dataclass(frozen=True, eq=False)
 class Lamp:
-    """A lamp: a luminous disc that faces the sphere.
+    """A lamp: a luminous disc that faces the ball.
 
     Attributes:
         direction: unit vector to the centre of the disc in the camera's frame, shape (3,).
-        distance: distance from the centre of the sphere, in radii of the sphere.
+        distance: distance from the centre of the ball, in radii of the ball.
         colour: relative colour of the light in the channels of the camera, shape (3,).
-        radius_deg: angular radius of the disc, seen from the sphere.
+        radius_deg: angular radius of the disc, seen from the ball.
     """
 
     direction: Array
@@ -236,9 +236,9 @@ def lit(normal: Array, frame: Array, camera: Camera, lamp: Lamp, u: Array) -> tu
 
 
 def lamp_picture(brdf: BRDF, camera: Camera, lamps: Sequence[Lamp], size: int, margin: float) -> Array:
-    """Render a sphere under lamps, without their colours, on black; return an image (size, size, B).
+    """Render a ball under lamps, without their colours, on black; return an image (size, size, B).
 
-    `margin` is the margin around the sphere in radii.
+    `margin` is the margin around the ball in radii.
     """
     across = (1.0 + margin) * (2.0 * (np.arange(size) + 0.5) / size - 1.0)
     x, y = np.meshgrid(across, -across)

@@ -31,10 +31,10 @@ class LeftOutReadings:
 
     @property
     def typical(self) -> Errors[float]:
-        """The medians, as errors of the ball and beside highlights, unknown without colours.
+        """The median errors, taken as ball error and as cube-root error beside highlights; NaN without colours.
 
-        Of 65 neural fits completed from an MA-T12, three have a larger one than their expected error of the ball; their
-        true error is 1.8 times the expected one in the median, that of the others 0.9 times.
+        Of 65 neural fits completed from an MA-T12, three have a larger median than expected ball error. The true ball
+        error of these three is 1.8 times the expected one (median), that of the other fits 0.9 times.
         """
         ball = np.nan if self.ciede2000 is None else float(np.median(self.ciede2000))
         relative = float(np.median(self.relative))

@@ -1,7 +1,7 @@
-"""Estimates the outline of a photographed sphere and the lamps from its own highlights and shading.
+"""Estimates the outline of a photographed ball and the lamps from its own highlights and shading.
 
 The circle, the lamps, the gains and a shading function are fitted to the pixels together. Under a distant lamp and
-camera, the BRDF of an isotropic, reciprocal material on a sphere is a symmetric function of the cosines of lamp and
+camera, the BRDF of an isotropic, reciprocal material on a ball is a symmetric function of the cosines of lamp and
 camera. The fitted shading is symmetric as well, so its errors do not bias the lamp towards the camera or away.
 """
 
@@ -67,7 +67,7 @@ _ROUNDS = 10  # of robust least squares
 
 @dataclass(frozen=True, eq=False)
 class Probe:
-    """The estimated light of photographs of one sphere.
+    """The estimated light of photographs of one ball.
 
     Attributes:
         circle: the outline, the same in all photographs.
@@ -96,9 +96,9 @@ class Probe:
 def find_light(
     photographs: Sequence[Photograph], circle: Circle | None = None, distance: float = np.inf
 ) -> Probe:
-    """Estimate the outline of a sphere that did not move, and the single lamp of every photograph.
+    """Estimate the outline of a ball that did not move, and the single lamp of every photograph.
 
-    All photographs have the same size. A given circle is refined. The lamps are `distance` radii from the sphere's
+    All photographs have the same size. A given circle is refined. The lamps are `distance` radii from the ball's
     centre.
     """
     sizes = {one.values.shape[:2] for one in photographs}
@@ -123,7 +123,7 @@ def find_light(
 
 
 def given_lamp_notes(photograph: Photograph, circle: Circle, lamp: Lamp) -> tuple[str, ...]:
-    """Return a warning about a given lamp if the sphere looks lit from elsewhere.
+    """Return a warning about a given lamp if the ball looks lit from elsewhere.
 
     There is no warning for near lamps, or for materials that are not a sum of a diffuse part and a highlight, because
     a single photograph does not determine their lamp.
@@ -219,7 +219,7 @@ def _with_others(pixels: _Pixels, fit: _Fit, chosen: Indices) -> tuple[_Pixels, 
 def edges_on_limb(
     photographs: Sequence[Photograph], circle: Circle, lamps: Array, outline: Circle, deviation: float
 ) -> tuple[Circle, Array]:
-    """Refine a circle by the edges near it where lamps (P, 3) light the sphere; return it and its information matrix.
+    """Refine a circle by the edges near it where lamps (P, 3) light the ball; return it and its information matrix.
 
     The information matrix (3, 3) is that of the centre (right, up) and the radius, in radii. An edge is where the
     value is midway between the values on its two sides. The prior is `outline`, with the standard deviation

@@ -1,4 +1,4 @@
-"""Reads photographs as linear values, and finds the outline of the sphere in them."""
+"""Reads photographs as linear values, and finds the outline of the ball in them."""
 
 from __future__ import annotations
 
@@ -166,7 +166,7 @@ def outside(photograph: Photograph, circle: Circle) -> float:
 
 
 class Outline(NamedTuple):
-    """A circle that may be the outline of a sphere, with the share of the nearby edges that lie on it."""
+    """A circle that may be the outline of a ball, with the share of the nearby edges that lie on it."""
 
     circle: Circle
     share: float
@@ -183,7 +183,7 @@ class Outline(NamedTuple):
 
 
 def outlines_in(photographs: Sequence[Photograph]) -> list[Outline]:
-    """Return possible outlines of a sphere in photographs of the same size, the most likely first.
+    """Return possible outlines of a ball in photographs of the same size, the most likely first.
 
     The search uses the maximum of the photographs at each pixel, which shows no terminator (the edge of the shadow)
     if the lamps differ.
@@ -228,7 +228,7 @@ def find_outlines(display: Array, where: str) -> list[Outline]:
     """Return the most pronounced circular edge of a picture of display values in [0, 1] (H, W, 3), in two versions.
 
     For every radius, gradients vote for centres along their direction; the best circle is refined to a fraction of a
-    pixel. If the sphere is lit from one side, the edge of its shadow pulls this circle; the other version passes
+    pixel. If the ball is lit from one side, the edge of its shadow pulls this circle; the other version passes
     through the strongest edges around it. The more likely version comes first. Edges that cover less than half of a
     circle are ignored.
 
@@ -262,7 +262,7 @@ def find_outlines(display: Array, where: str) -> list[Outline]:
     support, circle = max(refined, key=lambda pair: pair[0], default=(0.0, Circle(0.0, 0.0, 0.0)))
     if support < _LEAST_SUPPORT:
         raise UsageError(
-            f"{where}: no ball found (the best circle is an edge over {percent(support)} of its length, expected "
+            f"{where}: no ball found (edges cover {percent(support)} of the best circle, expected "
             f"{percent(_LEAST_SUPPORT)}); give its circle"
         )
     both = [Outline(one, _share_of_edges(smooth, one)) for one in (circle, _through_edges(smooth, circle))]

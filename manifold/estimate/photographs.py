@@ -1,4 +1,4 @@
-"""Draws photographs of spheres beside their predictions and the differences."""
+"""Draws photographs of balls beside their predictions and the differences."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The forward model: the pixels of a photographed sphere as linear functionals of its BRDF.
+"""The forward model: the pixels of a photographed ball as linear functionals of its BRDF.
 
-The sphere floats in a distant environment; light reflected by nearby objects is ignored. Pixels are averaged in
+The ball floats in a distant environment; light reflected by nearby objects is ignored. Pixels are averaged in
 blocks, which are small where the picture varies. The light that a block sends to the camera is a sum over direction
 pairs. Half of them are sampled from the incident light, half from half vectors that are densest around the normal;
 both halves are weighted by the balance heuristic, so that small lamps and sharp highlights are resolved equally well.
@@ -152,7 +152,7 @@ class Blocks:
         size: width of a pixel in radii.
         values: mean of every block, shape (K, 3).
         is_clipped: whether each block is at least as bright as its value, because the camera clipped it, shape (K,).
-        is_cylinder: whether the blocks show an upright cylinder instead of a sphere.
+        is_cylinder: whether the blocks show an upright cylinder instead of a ball.
     """
 
     x: Array
@@ -170,7 +170,7 @@ class Blocks:
 
 
 def blocks_of(photograph: Photograph, circle: Circle, pictures: int = 1) -> Blocks:
-    """Return the blocks of a sphere or cylinder in a photograph.
+    """Return the blocks of a ball or cylinder in a photograph.
 
     With more than ten `pictures`, each has fewer blocks.
     """
@@ -247,12 +247,12 @@ def _squares(roots: Array, seen: Mask, side: int, most: int) -> list[tuple[int, 
 
 @dataclass(frozen=True)
 class Camera:
-    """The position of a camera that looks at the centre of the sphere.
+    """The position of a camera that looks at the centre of the ball.
 
     Attributes:
         turn_deg: azimuth of the viewing direction in the environment, counted to the right from its first column.
-        elevation_deg: elevation of the camera above the sphere.
-        distance: distance of the camera from the centre of the sphere, in radii.
+        elevation_deg: elevation of the camera above the ball.
+        distance: distance of the camera from the centre of the ball, in radii.
     """
 
     turn_deg: float = 0.0
@@ -279,7 +279,7 @@ class Camera:
         return normal, np.broadcast_to(towards, normal.shape)
 
     def surface(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Return the normals (..., 3) of points of the sphere, and the directions (..., 3) to the camera.
+        """Return the normals (..., 3) of points of the ball, and the directions (..., 3) to the camera.
 
         x (right) and y (up from the centre) are in radii and lie within the outline.
         """

@@ -1,4 +1,4 @@
-"""Writes predictions at places on a map as RGL files, with diagnostics."""
+"""Writes predictions at points on a map as RGL files, with diagnostics."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from manifold.model.prediction import ClippedBRDF
 if TYPE_CHECKING:
     from manifold.estimate.attributes import Adjusted, Attributes
 
-_RECOATED = "the coat was changed to reach the gloss; the expected error is that before this change"
+_RECOATED = "the coat was changed to reach the gloss; the expected error does not include this change"
 
 
 def predict(
@@ -46,14 +46,14 @@ def predict(
     attributes: Attributes | None = None,
     options: OutputOptions = DEFAULT_OPTIONS,
 ) -> DiagnosedPrediction:
-    """Predict the material at a place on the map, and write it as an RGL file.
+    """Predict the material at a point on the map, and write it as an RGL file.
 
     A file, or a step of a walk, is not predicted from the map: colour and gloss edit its own values, on grids at
     least as fine as `FINE_OPTIONS`. Without such edits, a file is written unchanged.
 
     Args:
         model: a fitted manifold, or the path of one.
-        latent: Q coordinates, another place, or a measured material; a material of the model is predicted at its
+        latent: Q coordinates, another point, or a measured material; a material of the model is predicted at its
             latent.
         output: the file to write; the material is named after it.
         library: path of the model's library, if the library was moved.
@@ -158,7 +158,7 @@ def _of_file(
 
 
 def _of_place(model: Manifold, place: Place, colour: ColourChoice, attributes: Attributes | None) -> _Made:
-    """Return the prediction at a place, with another colour and gloss if asked for."""
+    """Return the prediction at a point, with another colour and gloss if asked for."""
     if colour != NEAREST or place.walk is not None:
         model.prepare()
     chosen = model.choose_colour(place, colour)

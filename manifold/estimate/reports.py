@@ -139,7 +139,7 @@ def write_calibration(path: Path, calibrated: CalibratedInstrument) -> None:
 
 
 def balls(brdf: BRDF) -> Section:
-    """Return a section with the rendered sphere of a material in the studio and under a sun."""
+    """Return a section with the rendered ball of a material in the studio and under a sun."""
     studio = studio_ball(brdf)
     margin = round(0.5 * _BALL * (1.0 - _SUN_SHARE))
     size = _BALL - 2 * margin
@@ -161,7 +161,7 @@ def balls(brdf: BRDF) -> Section:
 
 
 def studio_ball(brdf: BRDF) -> Array:
-    """Return display values (H, W, 3) of a material's sphere in the studio, rendered by Mitsuba if available."""
+    """Return display values (H, W, 3) of a material's ball in the studio, rendered by Mitsuba if available."""
     if backend.is_available():
         return images.tone_map(render_material(brdf, RenderSettings(size=_BALL)))
     image, inside = ball_image(brdf, _COARSE_BALL)

@@ -1,4 +1,4 @@
-"""Combines photographs of spheres with their light and camera, and computes the pixels of atoms in them."""
+"""Combines photographs of balls with their light and camera, and computes the pixels of atoms in them."""
 
 from __future__ import annotations
 
@@ -63,15 +63,15 @@ class PhotoRequest:
 
     Attributes:
         lights: files or names (`colour.lights.ENVIRONMENTS`) of environments; empty if there are lamps.
-        circles: outlines of the spheres or upright cylinders, in the form of `Circle.parse`; empty to find them.
+        circles: outlines of the balls or upright cylinders, in the form of `Circle.parse`; empty to find them.
         turns_deg: azimuths in the environments that lie straight ahead of the camera.
-        elevation_deg, distance: elevation of the camera above the sphere, and its distance in radii.
+        elevation_deg, distance: elevation of the camera above the ball, and its distance in radii.
         exposure: exposure of the photographs relative to the light; None if it is unknown.
         responses: file of the camera's sensitivities; None for sRGB.
         lamps: lamps of the photographs, in the form of `lamps.parse_lamp`; `found` estimates them from the
             photographs.
         each: whether every photograph has its own exposure.
-        grey: grey card that faces the camera beside the sphere, `X,Y,W,H,REFLECTANCE`, in pixels; None without one.
+        grey: grey card that faces the camera beside the ball, `X,Y,W,H,REFLECTANCE`, in pixels; None without one.
         is_linear: whether the files hold linear values, whatever their format.
         dark: photograph without light, which is subtracted from all others; None without one.
         light_balls: photographs of a mirror ball by the same camera, in place of environments, `PICTURE` or
@@ -101,7 +101,7 @@ class PhotoRequest:
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """A sphere in a photograph, with its light and camera.
+    """A ball in a photograph, with its light and camera.
 
     Attributes:
         light: an environment in the camera's channels, or lamps.
@@ -137,7 +137,7 @@ class Sighting:
 
 @dataclass(frozen=True, eq=False)
 class SeenBall:
-    """A photograph, the sphere in it, and a picture of its light.
+    """A photograph, the ball in it, and a picture of its light.
 
     Attributes:
         light: linear radiance of the environment, shape (H, W, 3); None for lamps.
@@ -161,7 +161,7 @@ class SeenBall:
 
 
 def see(request: PhotoRequest) -> tuple[SeenBall, ...]:
-    """Read photographs and their lights, and find the spheres."""
+    """Read photographs and their lights, and find the balls."""
     if not (1.0 < request.distance <= MOST_DISTANCE or np.isinf(request.distance)):
         raise UsageError(
             f"a camera at {request.distance:g} radii of the ball, expected more than 1 and at most {MOST_DISTANCE:g}"

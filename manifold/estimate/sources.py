@@ -1,4 +1,4 @@
-"""Parses the materials that a user names: a file, a material of a library, or a place on a map."""
+"""Parses the materials that a user names: a file, a material of a library, or a point on a map."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class LibrarySource:
 
 @dataclass(frozen=True)
 class PlaceSource:
-    """The prediction at a place on the map of a model.
+    """The prediction at a point on the map of a model.
 
     Attributes:
         library: path of the model's library, if it was moved.
@@ -79,9 +79,9 @@ MaterialSource = FileSource | LibrarySource | PlaceSource
 
 
 def parse_source(text: str, model: Path, library: Path | None = None) -> MaterialSource:
-    """Parse a text as a file, a material of the library, a folder, or a place on the map, whichever fits first.
+    """Parse a text as a file, a material of the library, a folder, or a point on the map, whichever fits first.
 
-    A place is coordinates separated by commas, or `FROM:TO:T`. For files, the model need not exist. `library`
+    A point is coordinates separated by commas, or `FROM:TO:T`. For files, the model need not exist. `library`
     replaces the model's library.
     """
     text = text.strip()
@@ -127,7 +127,7 @@ def read_measured(source: FileSource | LibrarySource) -> BsdfFile:
 
 
 def place_of(source: MaterialSource | PlaceLike, model: Manifold) -> Place:
-    """Return the place of a source on a map; materials that are not on the map are located by `Manifold.embed`."""
+    """Return the point of a source on a map; materials that are not on the map are located by `Manifold.embed`."""
     if isinstance(source, LibrarySource) and source.name in model.names:
         return model.place(source.name)
     if isinstance(source, FileSource | LibrarySource):

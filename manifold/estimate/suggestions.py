@@ -32,7 +32,7 @@ class Deviations:
 
     Attributes:
         at_candidates: deviations of cube roots at the candidate readings, shape (H, D).
-        on_ball: deviations of the pixels of a sphere, shape (H, K).
+        on_ball: deviations of the pixels of a ball, shape (H, K).
         everywhere: deviations at all directions, times the square roots of their weights, shape (H, P); P may be 0.
         noise: variance of the noise of the candidates, shape (D,).
     """
@@ -64,7 +64,7 @@ def next_readings(unknowns: Sequence[Deviations], count: int) -> Indices:
     """Return the indices (count,) of the candidates whose readings reduce the expected errors most, chosen greedily.
 
     Each choice minimises s b^3, where s is the root mean square of the standard deviation over all directions, and b
-    its mean over the pixels of a sphere. The `unknowns` are independent of each other and have the same D candidates.
+    its mean over the pixels of a ball. The `unknowns` are independent of each other and have the same D candidates.
     """
     left = list(unknowns)
     chosen: list[int] = []

@@ -30,7 +30,7 @@ Fit = Callable[[Data, Indices], Encode]
 """A function of data and training indices that returns an encoder of any material."""
 
 Map = Callable[[Data], tuple[Array, Callable[[Array], Combination]]]
-"""A function of data that returns the places (N, Q) of all materials, and the prediction at a place (Q,)."""
+"""A function of data that returns the points (N, Q) of all materials, and the prediction at a point (Q,)."""
 
 Split = tuple[Indices, Indices]
 """Indices of the materials to learn from, and of those to predict."""

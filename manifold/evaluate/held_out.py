@@ -70,7 +70,7 @@ class HeldOut:
 
     Attributes:
         data: values of the materials on a grid, in some bands.
-        pairs, balls: the grid's direction pairs, and the materials' rendered spheres.
+        pairs, balls: the grid's direction pairs, and the materials' rendered balls.
         watch: stopwatch for relative times.
         folds: number of folds of the cross-validation.
         scaled: texts about quantities that were measured in part and scaled to the whole.
@@ -128,7 +128,7 @@ class HeldOut:
         )  # fmt: skip
 
     def errors(self, i: int, f: Array, f_ball: Array) -> Errors[float]:
-        """Return the errors of predicted values of material i on the grid, (P, B'), and the sphere, (P_ball, B')."""
+        """Return the errors of predicted values of material i on the grid, (P, B'), and the ball, (P_ball, B')."""
         data = self.data
         wide = np.sqrt(self._shares)  # each band stands for those around it
         rmse = metrics.rmse(wide * data.f[i], wide * f, n_pairs=self._n_pairs)

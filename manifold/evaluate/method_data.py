@@ -54,7 +54,7 @@ class Data(Values):
         *,
         stride: int = PAIR_STRIDE,
     ) -> Data:
-        """Evaluate N materials of the same bands on a grid, in some bands, increasing.
+        """Evaluate N materials with the same bands on a grid, in increasing indices of bands.
 
         By default at most `LEARNT_BANDS` evenly spaced bands are used.
         """

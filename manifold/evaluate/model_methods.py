@@ -62,9 +62,9 @@ def model_methods(model: Manifold) -> list[Method]:
         return _process(model, data, training).encode
 
     def fit_blend_encoded(data: Data, training: Indices) -> Encode:
-        """Predict by blends of the other materials, which keep their places.
+        """Predict by blends of the other materials, which keep their points.
 
-        The material's own place is found from its data.
+        The material's own point is found from its data.
         """
         table = MaterialTable(list(data.materials), np.arange(model.bands.count))
         search = space.left_out_search(table, model.materials, s)

@@ -184,7 +184,7 @@ class Curve:
 
     @property
     def summary(self) -> list[tuple[int, Errors[float], Errors[float]]]:
-        """Numbers of readings with the medians and 90th percentiles of the errors, for numbers with known errors."""
+        """Number of readings, median and 90th percentile of the errors, for each number whose errors are known."""
         each = zip(self.counts, self.errors, strict=True)
         return [(n, e.median, e.p90) for n, e in each if not np.all(np.isnan(e.ball))]
 
@@ -202,7 +202,7 @@ def measure_curves(
     only: Sequence[str] = (),
     library: Library | None = None,
 ) -> list[Curve]:
-    """Complete every material of a library from the others, from n readings, by every method, or some by their keys.
+    """Complete each library material from the others and n readings, by all methods or by those with the given keys.
 
     Readings have no noise and are in the bands of the atoms. Every method chooses its directions among elevations 0,
     10, ... 80 degrees and azimuths in steps of 30. The last curves are completions at the directions of an MA-T12,

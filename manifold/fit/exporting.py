@@ -177,7 +177,7 @@ def export(
         path: the file to write.
         against: measured file for the comparison, see `subject_of_source`.
         picture: file for a plot of the material and the fitted model; None draws none.
-        balls: file for spheres of both in two lights; None draws none.
+        balls: file for balls of both in two lights; None draws none.
         textures: function that writes textures for the fitted parameters; None gives the surface one material.
     """
     target = target if isinstance(target, Target) else target_of(target, path)
@@ -317,7 +317,7 @@ def _ball_in(implementation: str, content: Content) -> float:
 def exports_of_many(targets: Sequence[Target], *, with_pictures: bool = False) -> BatchCommand[ExportSource]:
     """Return the batch command that fits every material of `export_sources` once, and writes it for several targets.
 
-    With pictures, spheres of each material and its exports are drawn into NAME.png.
+    With pictures, balls of each material and its exports are drawn into NAME.png.
     """
     columns: dict[str, Callable[[Content], Any]] = {
         f"{BALL_COLUMN}, {target.name}": partial(_ball_of, target.name) for target in targets
@@ -377,7 +377,7 @@ def export_many(
 ) -> list[Outcome[Subject]]:  # fmt: skip
     """Fit a material once, and write it for several targets into a folder, which is created if missing.
 
-    `against` is described in `subject_of_source`; `picture` shows spheres of the material and of all exports.
+    `against` is described in `subject_of_source`; `picture` shows balls of the material and of all exports.
     """
     folder.mkdir(parents=True, exist_ok=True)
     paths = paths_for(folder, name, targets)

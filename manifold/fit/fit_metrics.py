@@ -68,7 +68,7 @@ class Metric:
 
 
 def ball_errors(fitted: EvaluableBRDF, material: EvaluableBRDF) -> Errors[float]:
-    """Return the differences between the rendered spheres of a fit and its material, each in its own bands.
+    """Return the differences between the rendered balls of a fit and its material, each in its own bands.
 
     They are compared in the five test lights and in the lights of fits.
     """
@@ -105,7 +105,7 @@ def missed_highlight(fitted: EvaluableBRDF, material: EvaluableBRDF) -> str | No
 
 
 class Criterion:
-    """The residuals of a BSDF against samples; the metric `appearance` also compares the pixels of their sphere.
+    """The residuals of a BSDF against samples; the metric `appearance` also compares the pixels of their ball.
 
     The rows are first those of the samples, then those of the pixels. Pixels are compared in cube roots as a display
     shows them, so that values brighter than white have little weight.
@@ -155,7 +155,7 @@ class Criterion:
         return float(np.linalg.norm(self.residual(f_cos))) / self.norm
 
     def ball_difference(self, f_cos: Array) -> float:
-        """Return the mean CIEDE2000 between the spheres of values (P, 3) in linear sRGB and of the material."""
+        """Return the mean CIEDE2000 between the balls of values (P, 3) in linear sRGB and of the material."""
         assert self._pixels is not None
         both = self._pixels.of(f_cos[len(self.samples) :]), self._pixels.values
         xyz, xyz_star = (srgb_to_xyz(np.clip(pixels, 0.0, 1.0)) for pixels in both)

@@ -1,4 +1,4 @@
-"""The data of fits: reflectance samples from arrays, readings or any BRDF, and the pixels of a rendered sphere."""
+"""The data of fits: reflectance samples from arrays, readings or any BRDF, and the pixels of a rendered ball."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _BALL, _SUN_PIXELS = (6, 18, 8), 16  # pixels, rings and spokes; pixels under su
 
 @dataclass(frozen=True, eq=False)
 class Pixels:
-    """Small pictures of a sphere in the lights of fits: linear radiance relative to a white surface, shape (K, B).
+    """Small pictures of a ball in the lights of fits: linear radiance relative to a white surface, shape (K, B).
 
     Errors are reported in other lights.
     """
@@ -36,7 +36,7 @@ class Pixels:
 
     @classmethod
     def of_values(cls, f: Callable[[Array, Array], Array]) -> Pixels:
-        """Return the pixels of a sphere from a function that evaluates its BRDF; negative values are treated as 0."""
+        """Return the pixels of a ball from a function that evaluates its BRDF; negative values are treated as 0."""
         lights = panel.fitted(*_BALL, sun_pixels=_SUN_PIXELS)
         empty = cls(lights, np.zeros(0))
         return replace(empty, values=empty.of(np.maximum(f(lights.wi, lights.wo), 0.0) * lights.wo[:, 2:]))
@@ -47,7 +47,7 @@ class Pixels:
         return Pixels(lights, self.values[rows])
 
     def of(self, f_cos: Array) -> Array:
-        """Return the pixels (..., K, B) from values f cos(theta_o) (..., P, B) at the direction pairs of the sphere."""
+        """Return the pixels (..., K, B) from values f cos(theta_o) (..., P, B) at the direction pairs of the ball."""
         f = np.moveaxis(f_cos / self.lights.wo[:, 2:], -2, 0)
         return np.moveaxis(self.lights.of(f), 0, -2)
 
@@ -61,7 +61,7 @@ class FitSamples:
         f: BRDF in 1/sr, shape (M, B).
         weight: weight of each direction pair, with mean 1, shape (M,).
         is_isotropic: whether the material is isotropic or assumed to be.
-        pixels: pixels of the material's sphere in the same bands; None if the material is known only at the samples.
+        pixels: pixels of the material's ball in the same bands; None if the material is known only at the samples.
     """
 
     wi: Array
@@ -167,7 +167,7 @@ def from_readings(readings: Readings) -> FitSamples:
 
 
 def from_brdf(brdf: EvaluableBRDF, rotation_rad: float = 0.0) -> FitSamples:
-    """Return samples of a BRDF, dense around the mirror direction, with its sphere; negative values are treated as 0.
+    """Return samples of a BRDF, dense around the mirror direction, with its ball; negative values are treated as 0.
 
     `rotation_rad` is the azimuth by which the specimen was rotated; the samples are rotated back.
     """

@@ -117,7 +117,7 @@ def read_family(path: Path) -> BsdfFamily:
 def fit(source: Path | MaterialSource, target: Path, settings: FitSettings | None = None) -> Outcome[Any]:
     """Fit a file or another material and write the JSON; an up-to-date fit of the same file is kept.
 
-    If measured data cannot be fitted, the outcome states the reason. For a place on a map, the source of the outcome
+    If measured data cannot be fitted, the outcome states the reason. For a point on a map, the source of the outcome
     is the prediction.
     """
     disk.require_writable(target)

@@ -198,7 +198,7 @@ def select_minima(minima: list[Minimum], limit: float) -> list[Minimum]:
     """Return the minima, best first, and the rivals whose costs exceed the best by less than the limit.
 
     `minima` come from `find_minima`. A rival is the result of a restricted refinement; it is returned only if no
-    minimum within the limit lies in its part of the ranges.
+    other minimum within the limit lies in the same part of the ranges.
     """
     best = minima[0].cost
     kept = [one for one in minima if one.part is None]

@@ -57,7 +57,7 @@ class ParameterIdentifiability:
 
 
 def residual_variance(residual: Array, n_parameters: int, floor: float) -> float:
-    """Return the variance of a residual in a fit of n parameters, at least `floor`, that of the assumed noise."""
+    """Return the variance of a residual in a fit of n parameters, at least `floor`, the variance of assumed noise."""
     freedom = max(residual.size - n_parameters, 1)
     return max(float(residual @ residual) / freedom, floor)
 

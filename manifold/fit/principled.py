@@ -70,7 +70,7 @@ class FitResult(Result):
         hyperparameters: hyperparameters of the method, and the assumed noise.
         residuals: relative residuals of the RGB fit, by metric.
         diffuse_residual: relative residual of the best diffuse BRDF of constant albedo, in the metric of the fit.
-        errors: errors of the fit's rendered sphere; None if the material is known only at samples.
+        errors: errors of the fit's ball; None if the material is known only at samples.
         spectral_residual: relative residual over all bands, in the metric of the fit; None for RGB samples.
         minima: all distinct minima found, best first.
         statements: how well the samples determine each value.
@@ -174,13 +174,13 @@ def fit_bsdf(
     Args:
         target: a file (its unmeasured cells are filled), any BRDF, or samples. Files and BRDFs are sampled on a grid;
             anisotropic ones are first turned so that their highlights are wide along x, as those of `principled` are.
-            A sphere is rendered in separate lights for the fit and for its error.
+            A ball is rendered in separate lights for the fit and for its error.
         family: the BSDF with its free parameters, or the name `principled` or `diffuse` for the usual ones. None
             means `default_principled`, or with the method gauss-newton `diffuse()` if that fits better, because
             `principled` cannot be Lambertian.
         method: one of `FITTERS`.
         metric: one of `fit_metrics.METRICS`, in which residuals are minimised and compared. `appearance` compares the
-            colours of the sphere and the cube roots of the samples; without a sphere, only the cube roots.
+            colours of the ball and the cube roots of the samples; without a ball, only the cube roots.
         noise: lower bound of the samples' relative standard deviation, for the statements on identifiability.
         options: hyperparameters of the method.
         wide_colours: whether, without a family, base colours may leave [0, 1], like colours outside Rec. 709.

@@ -1,6 +1,6 @@
 """Recognises the kind of a file or folder, which determines how commands open it.
 
-A text that a user gives may also name a material of a library or a place on a map; see
+A text that a user gives may also name a material of a library or a point on a map; see
 `estimate.sources.parse_source`.
 """
 

@@ -68,7 +68,7 @@ def is_compressed(path: Path) -> bool:
 
 
 def read_tensors(path: Path | str, content: bytes | None = None) -> dict[str, AnyArray]:
-    """Return the fields of any tensor file in its order: read-only views of the file, mapped or decompressed.
+    """Return the fields of any tensor file, in the order of the file, as read-only views of it, mapped or decompressed.
 
     If the bytes of the file are given as `content`, `path` is only used as its name in errors.
 

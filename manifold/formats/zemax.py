@@ -66,7 +66,7 @@ def read(path: Path) -> list[Readings]:
         found = ", ".join(str(count) for count in sorted(counts)) or "no"
         why = "the file is cut off"
         if max(counts, default=0) > len(incidences):
-            why = f"SpectralContent {said.get('spectralcontent', 'not said')}, expected Monochrome or XYZ"
+            why = f"SpectralContent {said.get('spectralcontent', 'not stated')}, expected Monochrome or XYZ"
         raise text.context.error(f"{found} tables, expected {len(incidences)}, one per incidence: {why}")
     notes = ["angles are taken about the mirror direction, azimuth 0 towards the normal"]
     nm = unnamed_band(notes, text.context, text.comments) if None in parts else None

@@ -35,7 +35,7 @@ from manifold.library.staging import write_material
 from manifold.library.store import Library, read_material
 
 CUBE_ROOT_PER_BALL = 0.05
-"""Allowed cube-root error per allowed CIEDE2000 of the rendered sphere: 1 % at a tolerance of 0.2."""
+"""Allowed cube-root error per allowed CIEDE2000 of the ball: 1 % at a tolerance of 0.2."""
 
 _COARSEST = 0.08  # step, relative to the root mean square of the norms of spectra
 _MOST_STEPS = 12
@@ -105,7 +105,7 @@ def _compact(library: Library, info: MaterialInfo, staged: Path, folder: Path, t
 def encode(file: BsdfFile, tolerance: float = COMPACT_TOLERANCE) -> Compact:
     """Return the coarsest compact form whose decoded file stays within a tolerance.
 
-    The tolerance bounds the mean CIEDE2000 over a rendered sphere; the cube-root error may reach `CUBE_ROOT_PER_BALL`
+    The tolerance bounds the mean CIEDE2000 over a rendered ball; the cube-root error may reach `CUBE_ROOT_PER_BALL`
     times the tolerance.
     """
     roots, errors_of, kept = _Roots(file), _errors_from(file), _kept_tables(file)

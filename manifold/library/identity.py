@@ -41,7 +41,7 @@ class Accuracy:
 
     Attributes:
         tolerance: largest `ball` that was allowed.
-        ball: mean CIEDE2000 over a rendered sphere between the compact and the original material.
+        ball: mean CIEDE2000 over a ball between the compact and the original material.
         cube_root: relative error of cube roots, `||(w f*)^(1/3) - (w f)^(1/3)|| / ||(w f)^(1/3)||`.
     """
 

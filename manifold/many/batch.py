@@ -1,4 +1,4 @@
-"""Makes many outputs of one command in several processes, then a table and a contact sheet of rendered spheres.
+"""Makes many outputs of one command in several processes, then a table and a contact sheet of rendered balls.
 
 An index in the folder records the inputs of every file, so that a later run only makes files that are missing or
 whose inputs have changed. A file enters the index as soon as it is complete. One run at a time writes to a folder
@@ -215,7 +215,7 @@ class Batch(Generic[S]):
 
     @property
     def sheet(self) -> Path:
-        """Path of the contact sheet of balls."""
+        """Path of the contact sheet of rendered balls."""
         return self.folder / f"{self.command.what}.png"
 
     @property
@@ -303,7 +303,7 @@ def notes_of(outcome: Outcome[Any]) -> list[str]:
 
 
 def ball_path(path: Path) -> Path:
-    """Return the path of the picture of a file's sphere; for a picture, the path itself."""
+    """Return the path of the picture of a file's ball; for a picture, the path itself."""
     return path if path.suffix.lower() == ".png" else path.parent / "balls" / f"{path.stem}.png"
 
 
@@ -320,7 +320,7 @@ def measured_ball_path(path: Path) -> Path:
 
 
 def appearance(path: Path, brdf: EvaluableBRDF | None = None) -> dict[str, Any]:
-    """Return the colour and gloss of a BRDF, by default of the RGL file at the path, and draw its sphere."""
+    """Return the colour and gloss of a BRDF, by default of the RGL file at the path, and draw its ball."""
     brdf = MeasuredBRDF(read_bsdf(path)) if brdf is None else brdf
     if backend.is_available():
         is_file = is_rendered(path)
@@ -330,7 +330,7 @@ def appearance(path: Path, brdf: EvaluableBRDF | None = None) -> dict[str, Any]:
 
 
 def measured_appearance(path: Path, measured: BsdfFile) -> dict[str, Any]:
-    """Return the colour and gloss of the measured material that a file describes, and draw its sphere."""
+    """Return the colour and gloss of the measured material that a file describes, and draw its ball."""
     if backend.is_available():
         _write_ball(measured_ball_path(path), thumbnails.of_material(measured))
     return {"measured": _look(MeasuredBRDF(fill_unmeasured(measured)))}
@@ -448,9 +448,7 @@ def only_run_in(folder: Path, what: str) -> Iterator[None]:
 class OutputIndex:
     """An index of a folder's files and their inputs: one line of JSON per file, appended when the file is complete.
 
-    The last line of a file counts.
-
-    The index of `exports` is the file `exports.jsonl`.
+    If a file has several lines, the last one counts. The index of `exports` is the file `exports.jsonl`.
     """
 
     def __init__(self, folder: Path, what: str) -> None:

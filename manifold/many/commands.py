@@ -188,7 +188,7 @@ def import_outputs(outputs: Batch[Any], library: Path) -> None:
 def predictions_of(
     model: Path, *, library: Path | None = None, options: OutputOptions = DEFAULT_OPTIONS
 ) -> BatchCommand[Input]:
-    """Return the batch command that predicts at the places of `inputs.read_points`; see `predictions.predict`."""
+    """Return the batch command that predicts at the points of `inputs.read_points`; see `predictions.predict`."""
     loaded = load_model(model, library)
     suffix = "_rgb.bsdf" if loaded.bands.is_rgb else "_spec.bsdf"
     columns = _latent_columns(loaded.settings.latent_dim) | DiagnosedPrediction.columns()
@@ -282,9 +282,9 @@ def _convert(source: Input, path: Path, *, to: str, correction: Path | None, opt
 def renders(
     settings: RenderSettings, *, model: Path | None = None, library: Path | None = None, direct: bool = False
 ) -> BatchCommand[Input]:
-    """Return the batch command that renders spheres of materials; see `pictures.renders.render`.
+    """Return the batch command that renders balls of materials; see `pictures.renders.render`.
 
-    If the materials are places of a table, `model` and `library` apply to all, and no contact sheet is drawn.
+    If the materials are points of a table, `model` and `library` apply to all, and no contact sheet is drawn.
     `direct` evaluates predictions from their measured materials while rendering.
     """
     loaded = None if model is None else load_model(model, library)

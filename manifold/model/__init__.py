@@ -1,4 +1,4 @@
-"""The fitted manifold: places on its map, predictions, colours, walks, expected errors, and the model file."""
+"""The fitted manifold: points on its map, predictions, colours, walks, expected errors, and the model file."""
 
 import lazy_loader
 

@@ -45,7 +45,7 @@ class Appearance:
     """The values by which N materials are compared.
 
     Attributes:
-        lab: CIELAB values of the pixels of rendered spheres in the lights of fits, shape (N, K, 3).
+        lab: CIELAB values of the pixels of balls in the lights of fits, shape (N, K, 3).
         logs: weighted logarithms of the BRDF values, shape (N, D).
     """
 
@@ -61,13 +61,13 @@ class Appearance:
 
     @property
     def lightness(self) -> Array:
-        """Return the mean CIELAB lightness of the spheres, shape (N,)."""
+        """Return the mean CIELAB lightness of the balls, shape (N,)."""
         return np.asarray(self.lab[..., 0] @ _lights().pixel_weights / self.lab.shape[1])
 
     def compare(self, i: int, others: Indices) -> Array:
         """Return the differences of material i from others (n,), shape (2, n).
 
-        The rows are the mean CIEDE2000 between the rendered spheres, and the distance between the logarithms.
+        The rows are the mean CIEDE2000 between the balls, and the distance between the logarithms.
         """
         ball = delta_e_2000_lab(self.lab[others], self.lab[i]) @ _lights().pixel_weights / self.lab.shape[1]
         apart = self.logs[others].astype(np.float64) - self.logs[i]
@@ -96,9 +96,9 @@ class AppearanceDistances:
     """Appearance distances between N materials.
 
     Attributes:
-        ball: mean CIEDE2000 between the rendered spheres, shape (N, N).
+        ball: mean CIEDE2000 between the balls, shape (N, N).
         shape: distance between the logarithms of the values, scaled to the median of `ball`, shape (N, N).
-        lightness: mean CIELAB lightness of the spheres, shape (N,).
+        lightness: mean CIELAB lightness of the balls, shape (N,).
         scale: factor by which distances of logarithms were multiplied to get `shape`.
     """
 
@@ -124,9 +124,9 @@ class BlendSamples:
     Attributes:
         bands: indices of the bands that are samples, shape (B_s,).
         roots: cube roots of the samples at the appearance pairs, shape (N B_s, P).
-        on_ball: cube roots of the samples at the direction pairs of spheres in the five test lights, shape (N B_s,
+        on_ball: cube roots of the samples at the direction pairs of balls in the five test lights, shape (N B_s,
             P').
-        sphere, albedo: cube roots of the samples inside integrating spheres, with their measures; see `fit_paths`.
+        ball, albedo: cube roots of the samples inside integrating spheres, with their measures; see `fit_paths`.
         reflectances: reflectances of the materials in all bands, shape (N, B).
     """
 
@@ -155,7 +155,7 @@ class BlendSamples:
         )
 
     def paths(self, landmarks: Indices | None = None) -> ColourPaths:
-        """Return colour paths, each made of the material's own samples and the samples of landmarks, by default all."""
+        """Return colour paths of a material's own samples and those of the landmarks, by default of all materials."""
         cosines = encoding_pairs().cosines
         return fit_paths(
             self.roots[:, : len(cosines)], cosines, len(self.bands), self.sphere, self.albedo, landmarks

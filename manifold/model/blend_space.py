@@ -147,7 +147,7 @@ class BlendSpace(LatentSpace):
         return np.argsort(np.sum((self.X - x) ** 2, axis=1), kind="stable")[:count]
 
     def printed(self, x: Array) -> tuple[str, ...]:
-        """Return the coordinates of a place (Q,) as text; three decimals suffice to reproduce its prediction."""
+        """Return the coordinates of a point (Q,) as text; three decimals suffice to reproduce its prediction."""
         return tuple(f"{v:.3f}" for v in x)
 
     def weights(self, x: Array, colours: Array | None) -> Array:
@@ -206,11 +206,11 @@ class BlendSpace(LatentSpace):
         return np.cbrt(np.maximum(self.reflectances, 0.0))
 
     def embedding_bands(self, n_bands: int) -> Indices:
-        """Return the indices of the bands that are compared to locate a material: the samples of the paths."""
+        """Return the indices of the bands that are compared to locate a material: those on the colour paths."""
         return self.bands
 
     def embedding_pairs(self, is_isotropic: bool = True) -> Pairs:
-        """Return the direction pairs of the encoding grid and of a lit sphere."""
+        """Return the direction pairs of the encoding grid and of a ball."""
         return appearance_pairs(is_isotropic)
 
     def embed(self, decoder: Decoder, f: Array, settings: Settings) -> Embedded:
@@ -348,7 +348,7 @@ class PlaceSearch:
 
 
 class _BestPlace:
-    """The search for a place on the map of N materials at X (N, Q), from inner products only.
+    """The search for a point on the map of N materials at X (N, Q), from inner products only.
 
     Products are those of the materials' paths at K coordinates with the target, (N, K, B), and of the paths with each
     other, (K, N, N).
@@ -358,7 +358,7 @@ class _BestPlace:
         self._X, self._l, self._cross, self._gram = X, length_scale, cross, gram
 
     def place(self, bands: Indices, norm: float) -> tuple[Array, float]:
-        """Return the place (Q,) of least squared residual in some bands, and that residual.
+        """Return the point (Q,) of least squared residual in some bands, and that residual.
 
         `norm` is the target's squared norm there.
         """
@@ -375,7 +375,7 @@ class _BestPlace:
         return np.asarray(best.x), float(best.fun)
 
     def starts(self, bands: Indices, norm: float) -> Array:
-        """Return the best of the materials' places and random blends of three, the best first, shape (S, Q)."""
+        """Return the best of the materials' points and random blends of three, the best first, shape (S, Q)."""
         X, rng = self._X, np.random.default_rng(0)
         count = min(3, len(X))
         chosen = [rng.choice(len(X), count, replace=False) for _ in range(_TRIED_PLACES)]
@@ -384,7 +384,7 @@ class _BestPlace:
         return places[order[:_REFINED_PLACES]]
 
     def _residuals(self, bands: Indices, norm: float) -> Callable[[Array], Array]:
-        """Return squared residuals (M,) as a function of places (M, Q); infinite if the data do not support blends."""
+        """Return squared residuals (M,) as a function of points (M, Q); infinite if the data do not support blends."""
         X, cross, reach = self._X, self._cross[:, :, bands], widest_gap(self._X)
 
         def residuals(x: Array) -> Array:
@@ -395,13 +395,13 @@ class _BestPlace:
         return residuals
 
     def coordinates(self, x: Array) -> tuple[Indices, Array]:
-        """Return the index of each band's best path coordinate at a place x (Q,), and its gain, (B,) each."""
+        """Return the index of each band's best path coordinate at a point x (Q,), and its gain, (B,) each."""
         inner, squared = (found[0] for found in self._products(x[None], self._cross))
         k = np.argmax(inner**2 / squared, axis=0)
         return k, inner[k, np.arange(len(k))] / squared[k, 0]
 
     def _products(self, x: Array, cross: Array) -> tuple[Array, Array]:
-        """Return products of blends at places (M, Q) with a target, at least 0, and squared norms.
+        """Return products of blends at points (M, Q) with a target, at least 0, and squared norms.
 
         Their shapes are (M, K, B) and (M, K, 1).
         """

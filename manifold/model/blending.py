@@ -24,7 +24,7 @@ NEIGHBOURS = 128
 NEGLIGIBLE = 3e-4
 """Share of the largest weight below which weights are set to 0 to save evaluations.
 
-Together these weights change a rendered sphere by less than a tenth of a visible difference in every light
+Together these weights change a rendered ball by less than a tenth of a visible difference in every light
 (tests/model/test_model.py).
 """
 
@@ -59,7 +59,7 @@ _TIGHT = {"maxiter": 2000, "maxfun": 10000, "ftol": 1e-13, "gtol": 1e-9, "maxcor
 
 
 def blend_weights(x: Array, X: Array, length_scale: float = 1.0) -> Array:
-    """Return the weights u of samples X (N, Q) at places x (M, Q), shape (M, N); they are never negative and sum to 1.
+    """Return the weights u of samples X (N, Q) at points x (M, Q), shape (M, N); they are never negative and sum to 1.
 
     `u_i ~ exp(-d_i^2 / (2 l^2)) / d_i^2`. The weights are continuous, and at a sample a unit vector with slope 0.
     Only the `NEIGHBOURS` nearest samples have a weight; the weight of the next one is subtracted to keep them
@@ -93,7 +93,7 @@ def _weights(squared: Array, *, is_cut: bool = False) -> Array:
 
 
 def nearest_distance(x: Array, X: Array) -> Array:
-    """Return the distance of each place x (M, Q) from the nearest of the samples X (N, Q), shape (M,)."""
+    """Return the distance of each point x (M, Q) from the nearest of the samples X (N, Q), shape (M,)."""
     return np.sqrt(_nearest(x, X, 1)[0][:, 0])
 
 
@@ -108,7 +108,7 @@ def _gaps(X: Array) -> Array:
 
 
 def _nearest(x: Array, X: Array, count: int) -> tuple[Array, Indices]:
-    """Return the squared distances of places x (M, Q) from the `count` nearest of X (N, Q), and their indices.
+    """Return the squared distances of points x (M, Q) from the `count` nearest of X (N, Q), and their indices.
 
     Both have the shape (M, count), the nearest first.
     """
@@ -224,7 +224,7 @@ def add_rows(index: Indices, rows: Array, count: int) -> Array:
 
 
 def _principal_coordinates(distance: Array, n_components: int) -> Array:
-    """Return places (N, Q) by classical scaling, whose inner products are nearest to those of the distances."""
+    """Return points (N, Q) by classical scaling, whose inner products are nearest to those of the distances."""
     N = len(distance)
     centring = np.eye(N) - 1.0 / N
     values, vectors = np.linalg.eigh(-0.5 * centring @ distance**2 @ centring)

@@ -35,7 +35,7 @@ class Pair:
     """The indices of a material and of the material that looks most like it.
 
     Attributes:
-        difference: mean CIEDE2000 between their rendered spheres, over the five test lights.
+        difference: mean CIEDE2000 between their balls, over the five test lights.
         detour: differences of the prediction halfway from both materials, added and divided by `difference`; 1 if the
             prediction lies between them.
     """
@@ -100,7 +100,7 @@ def measure_coherence(
 ) -> tuple[Coherence | None, list[Pair]]:
     """Return the coherence of a map of N materials at latents X (N, Q), and its pairs of similar materials.
 
-    `ball` returns the CIE XYZ values (K, 3) of a material's rendered sphere in the five test lights, and `predict`
+    `ball` returns the CIE XYZ values (K, 3) of a material's ball in the five test lights, and `predict`
     returns them for the prediction at a latent (Q,). The coherence is None if all materials look alike.
     """
     lights, pairs, kept = panel.judged(), list[Pair](), list[float]()
@@ -131,7 +131,7 @@ def most_similar(
 ) -> Iterator[tuple[int, Indices]]:
     """Yield each of `materials` with the `count` most similar ones of all `of` materials, most similar first.
 
-    `ball` returns the CIE XYZ values (K, 3) of a material's rendered sphere in the five test lights.
+    `ball` returns the CIE XYZ values (K, 3) of a material's ball in the five test lights.
     """
     white, (some, chosen) = srgb_to_xyz(np.ones(3)), panel.judged().every(_PIXELS)
     lab = np.stack([to_lab(xyz[chosen], white).astype(np.float32) for xyz in map(ball, range(of))])

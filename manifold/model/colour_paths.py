@@ -130,7 +130,7 @@ class ColourPaths:
 
 
 def between(vertices: Array, coordinates: Array) -> tuple[Indices, Array]:
-    """Return the index of the vertex (V,) below each coordinate (B,), and the fraction of the way to the next."""
+    """Return the index of the vertex, of V, below each coordinate (B,), and the fraction of the way to the next."""
     at = np.clip(coordinates, vertices[0], vertices[-1])
     k = np.clip(np.searchsorted(vertices, at, side="right") - 1, 0, len(vertices) - 2)
     return k, (at - vertices[k]) / (vertices[k + 1] - vertices[k])

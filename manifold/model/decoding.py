@@ -50,12 +50,12 @@ def decoder_at(
 
 
 OF_BALL = slice(None, None, 7)
-"""Selects every seventh direction pair of a rendered sphere."""
+"""Selects every seventh direction pair of a ball."""
 
 
 @cache
 def appearance_pairs(is_isotropic: bool = True) -> Pairs:
-    """Return the direction pairs of the encoding grid, then some pairs of a lit sphere, which are rare in the grid.
+    """Return the direction pairs of the encoding grid, then some pairs of a rendered ball, which are rare in the grid.
 
     Anisotropic materials have the same number of pairs, with the same cosines and light.
     """
@@ -63,7 +63,7 @@ def appearance_pairs(is_isotropic: bool = True) -> Pairs:
 
 
 def appearance_weight(samples: Array) -> Array:
-    """Return factors (P,) that give cube roots (n, P) the same squared norm on the sphere as on the grid."""
+    """Return factors (P,) that give cube roots (n, P) the same squared norm on the ball as on the grid."""
     grid, ball = (np.cbrt(light) for light in (encoding_pairs().cosines, ball_colours.ball().light[OF_BALL]))
     of_grid = float(np.sum((samples[:, : len(grid)] * grid) ** 2))
     of_ball = float(np.sum((samples[:, len(grid) :] * ball) ** 2))

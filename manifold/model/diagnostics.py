@@ -93,16 +93,16 @@ class DiagnosedPrediction(Result):
 
     @property
     def is_file(self) -> bool:
-        """Return whether the values are taken from a file, which has no place on the map."""
+        """Return whether the values are taken from a file, which has no point on the map."""
         return self.latent is None and self.walk is None
 
     @property
     @derived(row="point", json=False)
     def place_in_words(self) -> str:
-        """Return lines of text that state the place, and where the colour comes from."""
+        """Return lines of text that state the point, and where the colour comes from."""
         place = f"{self.walk}, a step of a walk" if self.walk is not None else ",".join(self.coordinates)
         if self.is_file:
-            place = f"{self.own}, with its own values (`manifold locate` finds its place on the map)"
+            place = f"{self.own}, with its own values (`manifold locate` finds its point on the map)"
         return place if self.colour is None else f"{place}; colour {self.colour}"
 
     @property
@@ -202,7 +202,7 @@ class DiagnosedPrediction(Result):
 def predict_and_diagnose(
     model: Manifold, x: PlaceLike, choice: ColourChoice = NEAREST
 ) -> DiagnosedPrediction:
-    """Return the prediction at a place, in a given or blended colour, with its diagnostics."""
+    """Return the prediction at a point, in a given or blended colour, with its diagnostics."""
     place = model.place(x)
     chosen = model.choose_colour(place, choice)
     return diagnose(model, place, model.predict(place, chosen.colours), chosen)
@@ -233,7 +233,7 @@ def diagnose(
     found: Plausibility | None = None,
     negative_share: float | None = None,
 ) -> DiagnosedPrediction:
-    """Return diagnostics and expected error of a prediction at a place.
+    """Return diagnostics and expected error of a prediction at a point.
 
     `found` is the plausibility of the written file, and `negative_share` the share of negative values before they
     were set to 0. If they are None, they are measured on the prediction.
@@ -273,7 +273,7 @@ def diagnose(
 
 
 def _reason(model: Manifold, place: Place) -> str:
-    """Return the reason why the data do not support a place: see `LeftOut.is_unsupported`."""
+    """Return the reason why the data do not support a point: see `LeftOut.is_unsupported`."""
     distance, left_out = model.nearest(place)[0][1], model.left_out
     if left_out is None or distance > widest_gap(left_out.space.X):
         return f"the nearest material is {distance:.1f} length scales away"

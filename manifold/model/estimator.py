@@ -20,7 +20,7 @@ LEAST = 216.0 / 24389.0
 class Observation:
     """Observed values (rows) of R linear functionals of a material in one band.
 
-    A row may be a value at a direction pair, a pixel of a rendered sphere or of a photograph, or a mean over the
+    A row may be a value at a direction pair, a pixel of a ball or of a photograph, or a mean over the
     aperture of a gloss meter; rows of several kinds may be combined.
 
     Attributes:

@@ -42,7 +42,7 @@ BELOW_TWICE = 0.9
 """Share of the leave-one-out errors that are below twice the expected error."""
 
 COARSE_BELOW = 8
-"""Number of materials below which expected errors are uncertain by a factor of three, and vary little with place."""
+"""Number of materials below which expected errors are uncertain by a factor of three, and hardly vary over the map."""
 
 LEVEL = 0.9
 """Share of new materials whose true error should be below `Reliability.bound` times the expected error."""
@@ -117,7 +117,7 @@ class ExpectedError:
         return expected if residual is not None else np.maximum(expected, self._floor(nearest))
 
     def _floor(self, nearest: Array) -> Array:
-        """Return the least expected error at places so far from all materials (M,), shape (M,)."""
+        """Return the least expected error at points so far from all materials (M,), shape (M,)."""
         mean, most = np.exp(self.log_errors.mean()), np.exp(self.log_errors.max())
         return np.asarray(np.minimum(mean * (nearest / widest_gap(self.X)) ** 2, max(most, mean)))
 
@@ -366,7 +366,7 @@ def coherence_of(
 def _landmark_balls(
     space: BlendSpace, materials: MaterialCache, bands: Indices, samples: BlendSamples
 ) -> tuple[Callable[[int], Array], Callable[[Array], Array]]:
-    """Return functions that return CIE XYZ of the ball of a material, and of a place, from samples.
+    """Return functions that return CIE XYZ of the ball of a material, and of a point, from samples.
 
     Those of thousands of materials would fill the memory.
     """

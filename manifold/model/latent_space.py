@@ -40,7 +40,7 @@ class Embedded:
             gain, shape (2, B); None for kind `gplvm`.
         relative_error: error of the decoded material, `||w (f* - f)|| / ||w f||`, on the direction pairs of the
             search.
-        residual: relative residual of the search; for blends the residual of cube roots on grid and sphere, otherwise
+        residual: relative residual of the search; for blends the residual of cube roots on grid and ball, otherwise
             `relative_error`.
     """
 

@@ -127,7 +127,7 @@ class Manifold(Embedding):
 
     @property
     def pictured(self) -> Indices:
-        """Return the materials that a picture shows as named spheres: all, or 80 landmarks that cover the map."""
+        """Return the materials that a picture shows as named balls: all, or 80 landmarks that cover the map."""
         return self.landmarks if self.space.landmarks is None else self.landmarks[:_PICTURED]
 
     @property
@@ -136,15 +136,15 @@ class Manifold(Embedding):
         return self.space.gp
 
     def weights(self, x: ArrayLike | PlaceLike, colours: Array | None = None) -> Array:
-        """Return the weights of the materials at a place or latents x (M, Q), shape (N,) or (M, N); they sum to 1."""
+        """Return the weights of the materials at a point or latents x (M, Q), shape (N,) or (M, N); they sum to 1."""
         return self._at(x, colours, self.space.material_weights)
 
     def std(self, x: ArrayLike | PlaceLike, colours: Array | None = None) -> Array:
-        """Return the posterior over the prior standard deviation at a place or latents x (M, Q), from 0 to 1."""
+        """Return the posterior over the prior standard deviation at a point or latents x (M, Q), from 0 to 1."""
         return np.sqrt(self._at(x, colours, self.space.variance_fraction))
 
     def posterior(self, x: ArrayLike | PlaceLike) -> Posterior:
-        """Return the posterior standard deviation at a place (Q,) or latents x (M, Q), in the unit of the outputs.
+        """Return the posterior standard deviation at a point (Q,) or latents x (M, Q), in the unit of the outputs.
 
         The outputs of the process are `sqrt(cos(theta_i) cos(theta_o)) T(f)`, or `T(f)` in the published method, with
         the mapping T and f in 1/sr. All outputs share one variance.
@@ -162,7 +162,7 @@ class Manifold(Embedding):
         return Posterior(prior * relative, relative, f"{weight}T(f), T = {settings.mapping}, f in 1/sr")
 
     def is_extrapolation(self, x: ArrayLike | PlaceLike, colours: Array | None = None) -> Mask:
-        """Return whether the data do not support predictions at a place (Q,) or latents x (M, Q).
+        """Return whether the data do not support predictions at a point (Q,) or latents x (M, Q).
 
         See `LeftOut.is_unsupported`. For a model that is not calibrated, the result is whether the posterior variance
         exceeds half of the prior variance. A step of a walk is never an extrapolation.
@@ -178,7 +178,7 @@ class Manifold(Embedding):
     def expected_error(
         self, x: ArrayLike | PlaceLike, colours: Array | None = None, residual: float | None = None
     ) -> Errors[Array] | None:
-        """Return the expected errors of predictions at a place (Q,) or latents x (M, Q).
+        """Return the expected errors of predictions at a point (Q,) or latents x (M, Q).
 
         They hold for a material with the given colours or, without colours, with colours blended from the surrounding
         materials. They are 0 at a material's own latent, where the prediction is its file. The result is None if the
@@ -213,7 +213,7 @@ class Manifold(Embedding):
         return [(self.names[k], float(weights[k])) for k in order if weights[k] != 0]
 
     def unmeasured_share(self, x: PlaceLike, colours: Array | None = None) -> float:
-        """Return the share of unmeasured cells at a place x, averaged over materials by magnitude of weight.
+        """Return the share of unmeasured cells at a point x, averaged over materials by magnitude of weight.
 
         For a step of a walk it is averaged over the two materials by t.
         """
@@ -238,7 +238,7 @@ class Manifold(Embedding):
         return on_line(self.latent(a), self.latent(b), t)
 
     def place(self, x: PlaceLike) -> Place:
-        """Return the place that a latent or a text denotes."""
+        """Return the point that a latent or a text denotes."""
         if isinstance(x, Place):
             return x
         if not isinstance(x, str):
@@ -315,7 +315,7 @@ class Manifold(Embedding):
         return ReflectanceColours(self.space, self.materials, self.settings)
 
     def choose_colour(self, x: PlaceLike, choice: ColourChoice) -> ChosenColour:
-        """Return the colour coordinates that give the prediction at a place x the given colour."""
+        """Return the colour coordinates that give the prediction at a point x the given colour."""
         if not self.space.takes_colours:
             if choice != NEAREST:
                 raise UsageError(fixed_colours(self.space.kind))

@@ -224,16 +224,16 @@ class MaterialTable:
 
     @cached_property
     def on_ball(self) -> Values:
-        """Return the values at the direction pairs of the rendered spheres."""
+        """Return the values at the direction pairs of a rendered ball."""
         return Values.at(self.materials, self.lights)
 
     @cached_property
     def balls(self) -> list[Array]:
-        """Return the CIE XYZ values (K, 3) of every material's rendered sphere in the five test lights."""
+        """Return the CIE XYZ values (K, 3) of every material's ball in the five test lights."""
         return [self.lights.xyz(f, self.materials[0].bands) for f in self.on_ball.f]
 
     def ball(self, combination: Combination) -> Array:
-        """Return the CIE XYZ values (K, 3) of a prediction's rendered sphere in the five test lights."""
+        """Return the CIE XYZ values (K, 3) of a prediction's ball in the five test lights."""
         (f,) = evaluate([combination.in_bands(self.bands)], self.on_ball)
         return self.lights.xyz(f, self.materials[0].bands)
 
@@ -242,11 +242,11 @@ class MaterialTable:
         return Values.at(self.materials, self._pairs)
 
     def look(self, i: int, f: Array) -> Errors[float]:
-        """Return the differences between the rendered spheres of material i and of values f (P, B) in 1/sr."""
+        """Return the differences between the balls of material i and of values f (P, B) in 1/sr."""
         return self.lights.compare(self.balls[i], self.lights.xyz(f, self.materials[0].bands))
 
     def looks(self, combinations: Sequence[Combination]) -> Errors[Array]:
-        """Return the differences between the rendered spheres of all materials and of one prediction for each."""
+        """Return the differences between the balls of all materials and of one prediction for each."""
         here = [c.in_bands(self.bands) for c in combinations]
         found: list[Errors[float]] = []
         for first in range(0, len(here), _PREDICTED_AT_ONCE):

@@ -148,7 +148,7 @@ class WrittenFile:
         return (*diagnostics.of_prediction(False, self.plausibility), *self.projection)
 
     def expected(self, errors: Errors[Number]) -> Errors[Number]:
-        """Return the expected errors of the file: those of the BRDF, and the change by making the file physical."""
+        """Return the expected errors of the file: those of the BRDF, combined with the change by `--physical`."""
         return errors if self.change is None else errors.beside(self.change)
 
 

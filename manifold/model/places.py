@@ -1,4 +1,4 @@
-"""Parses places on a map of materials: latents, names of materials, and steps of walks between two materials."""
+"""Parses points on a map of materials: latents, names of materials, and steps of walks between two materials."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ LARGEST_COORDINATE = 1e9  # latents are of order one; far larger ones overflow w
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A place on a map of materials.
+    """A point on a map of materials, or a step of a walk.
 
     Attributes:
         latent: latent, shape (Q,); for a step of a walk, the point on the straight line, which is used if colours are
             given.
-        walk: the two materials and t of `FROM:TO:T`, a step of the walk between them; None for other places.
+        walk: the two materials and t of `FROM:TO:T`, a step of the walk between them; None for a point.
         rotation_rad: azimuth by which an anisotropic specimen is turned relative to the materials of the map.
     """
 

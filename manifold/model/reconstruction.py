@@ -35,7 +35,7 @@ _OF_VALUES = 0.25  # how much the squared error of values counts beside that of 
 
 
 class ComparedValues:
-    """The values that a reconstruction compares: at direction pairs, then at K pixels of spheres in the lights of fits.
+    """The values that a reconstruction compares: at direction pairs, then at K pixels of balls in the lights of fits.
 
     `pixel_weights` (K,) makes all lights count equally.
     """

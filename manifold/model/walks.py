@@ -82,7 +82,7 @@ def roughness_at(position: float) -> float:
 
 
 def fit_highlight(brdf: BRDF) -> Highlight:
-    """Fit a lobe over a Lambertian base with the lowest cube-root error at the direction pairs of grid and sphere."""
+    """Fit a lobe over a Lambertian base with the lowest cube-root error at the direction pairs of grid and ball."""
     pairs = appearance_pairs(brdf.is_isotropic)
     f = np.maximum(brdf.eval(pairs.wi, pairs.wo), 0.0)
     weight = np.cbrt(pairs.cosines)
@@ -170,14 +170,14 @@ def lobe_at(wi: Array, wo: Array, position: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Walked:
-    """A material as the end of a walk, with the pixels of its sphere at R roughnesses in linear sRGB, (R, K, 3)."""
+    """A material as the end of a walk, with the pixels of its ball at R roughnesses in linear sRGB, (R, K, 3)."""
 
     highlight: Highlight
     balls: Array
 
     @classmethod
     def of(cls, brdf: BRDF) -> Walked:
-        """Fit the highlight of a material, and render its sphere at every roughness."""
+        """Fit the highlight of a material, and render its ball at every roughness."""
         highlight, lit = fit_highlight(brdf), ball()
         f, fresnel = brdf.eval(lit.wi, lit.wo), highlight.fresnel(lit.wi, lit.wo)
         own = lobe_at(lit.wi, lit.wo, highlight.position)
@@ -196,14 +196,14 @@ class Walked:
         return cls(highlight, np.stack(balls))
 
     def ball_at(self, positions: Array) -> Array:
-        """Return the linear sRGB pixels (n, K, 3) of the sphere at fractional indices (n,) into `ROUGHNESSES`."""
+        """Return the linear sRGB pixels (n, K, 3) of the ball at fractional indices (n,) into `ROUGHNESSES`."""
         below = np.minimum(positions.astype(int), len(ROUGHNESSES) - 2)
         part = (positions - below)[:, None, None]
         return np.asarray((1.0 - part) * self.balls[below] + part * self.balls[below + 1])
 
 
 def walk_shares(start: Walked, end: Walked) -> Array:
-    """Return the share of the end material at `WALK_NODES` even values of t; steps have equal CIEDE2000."""
+    """Return the shares of the end material at `WALK_NODES` even values of t, at which steps have equal CIEDE2000."""
     u = np.linspace(0.0, 1.0, _STEPS)
     positions = positions_between(start.highlight, end.highlight, u)
     share = u[:, None, None]

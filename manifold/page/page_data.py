@@ -103,7 +103,7 @@ class PageTables:
         components: cube roots of f cos(theta_i) cos(theta_o) in the basis, float32, shape (N, R, P).
         walked: the materials as ends of walks.
         at_nodes: indices of the nodes among the bands of `walked`, shape (J,).
-        thumbnails: pictures of the materials' spheres in the studio, sRGB, extended to full squares, (N, S, S, 3).
+        thumbnails: pictures of the materials' balls in the studio, sRGB, extended to full squares, (N, S, S, 3).
     """
 
     pairs: TabulatedPairs
@@ -238,7 +238,7 @@ def _landmark_names(model: Manifold) -> list[str]:
 
 
 def _others(model: Manifold) -> dict[str, Any]:
-    """Return places, colours and names of the materials besides landmarks, which predictions do not use."""
+    """Return points, colours and names of the materials besides landmarks, which predictions do not use."""
     others = np.delete(np.arange(len(model.names)), model.landmarks)
     srgb = encode_srgb(np.clip(to_srgb(model.space.reflectances[others], model.bands), 0.0, 1.0))
     return {

@@ -66,7 +66,7 @@ def components_of(
 
 
 def surface_document(surface: WrittenSurface, model: Manifold) -> dict[str, Any]:
-    """Return a surface's place on the map, and its textures, as JSON."""
+    """Return a surface's point on the map, and its textures, as JSON."""
     located = locate_brdf(model, _InBands(surface.brdf, model.bands))
     return {
         "name": surface.name,

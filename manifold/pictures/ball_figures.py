@@ -1,4 +1,4 @@
-"""Draws figures of rendered spheres: the latent map, and walks between two materials."""
+"""Draws figures of rendered balls: the latent map, and walks between two materials."""
 
 from __future__ import annotations
 

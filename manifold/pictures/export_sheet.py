@@ -1,4 +1,4 @@
-"""Draws spheres of a material beside its exports, with their errors, computed by quadrature."""
+"""Draws balls of a material beside its exports, with their errors, computed by quadrature."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def latent_axes(axes: Axes, model: Manifold) -> None:
     kind = f"{origins.pop()} materials" if len(origins) == 1 else f"materials, {origins_in_words(materials)}"
     title = f"Material manifold: {len(materials)} {kind}, {model.bands}"
     title += f"; 2 of {dims} dimensions" if dims > 2 else "; one dimension" if dims == 1 else ""
-    axes.set_title(title + " (expected errors are drawn for two only)" * (dims != 2), fontsize=12)
+    axes.set_title(title + " (expected errors are drawn for two dimensions only)" * (dims != 2), fontsize=12)
     axes.set_xlabel("latent $x_1$ (length scales)")
     if dims > 1:
         axes.set_ylabel("latent $x_2$ (length scales)")

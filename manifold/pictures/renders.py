@@ -96,14 +96,14 @@ def render(
     """Render the ball of a material into a picture file.
 
     Args:
-        source: an RGL file, the JSON of a fit, a material of a library, or a place; see `ball_material`.
+        source: an RGL file, the JSON of a fit, a material of a library, or a point; see `ball_material`.
         output: the picture.
         settings: settings of the render.
         direct: evaluate the measured materials of a prediction while rendering.
 
     Raises:
         UsageError: the picture cannot be written, an RGB material is rendered under a light other than D65, or
-            `direct` is set for a material that is not a place on a map.
+            `direct` is set for a material that is not a point on a map.
         FileFormatError: the file is neither an RGL file nor a fit.
     """
     images.require_image_path(output)

@@ -139,7 +139,7 @@ def render_scene(mi: Any, scene: Any, settings: RenderSettings) -> Array:
 
 
 def rgb_film(size: int) -> dict[str, Any]:
-    """Return Mitsuba's own film in linear sRGB, as a dictionary. In spectral variants its white is that of D65."""
+    """Return Mitsuba's own film in linear sRGB, as a dictionary. In spectral variants its white is D65."""
     return {
         "type": "hdrfilm",
         "width": size,

@@ -32,7 +32,7 @@ class AveragedBRDF(WrappedBRDF):
 
 
 def averaged(file: BsdfFile) -> BsdfFile:
-    """Return the isotropic file of an anisotropic file's mean over azimuths, at the same incidences and resolution."""
+    """Return an isotropic file with an anisotropic file's mean over azimuths, at the same incidences and resolution."""
     return goniometer.measure(
         AveragedBRDF(MeasuredBRDF(file)), file.name, description=file.description,
         resolution=file.spectra.shape[-1], theta_i_rad=file.theta_i_rad,

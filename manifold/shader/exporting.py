@@ -123,7 +123,7 @@ def make_shader(
 
 
 def read_material(source: MaterialSource) -> tuple[BsdfFile, EvaluableBRDF | None]:
-    """Return the file of a source; a fit is measured by the virtual goniometer, and returned as second value."""
+    """Return the file of a source, and its fit or None; the file of a fit is measured by the virtual goniometer."""
     if not isinstance(source, FileSource) or not is_fit(source.path):
         return read_source(source), None
     fit = FittedBRDF.read(source.path)

@@ -68,7 +68,7 @@ class Chart:
         return {"reference": reference, **plain(vars(self))}
 
     def front(self, error: str, cost: str) -> list[ChartRow]:
-        """Return the settings on a front, cheapest first."""
+        """Return the settings on the Pareto front of an error and a cost, cheapest first."""
         by_key = {row.key: row for row in self.rows}
         return [by_key[key] for key in self.fronts[error][cost]]
 
@@ -242,10 +242,10 @@ def _from_arrays(arrays: Mapping[str, Array]) -> dict[str, ChartRow]:
 
 
 def fronts(rows: Sequence[ChartRow]) -> dict[str, dict[str, list[str]]]:
-    """Return the keys of the held-out settings on each front of an error and a cost, cheapest first.
+    """Return the keys of the held-out settings on the Pareto front of every error and cost, cheapest first.
 
-    Errors and bytes are equal if they differ by less than 1 %, times if they differ by less than 10 % or their
-    spreads.
+    Errors and bytes count as equal if they differ by less than 1 %. Times count as equal if they differ by less than
+    10 % or by less than their spreads.
     """
     rows = [row for row in rows if row.is_held_out]
     return {error: {cost: _front(rows, error, cost) for cost in COSTS} for error in ERRORS}

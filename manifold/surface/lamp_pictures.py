@@ -151,7 +151,7 @@ def read_folder(pictures: Sequence[Path], lamps: Path) -> SurfacePictures:
 
 
 def files_in(sources: Sequence[Path]) -> list[Path]:
-    """Return files, and the pictures in folders by their names, in order."""
+    """Return the given files and the pictures in the given folders, sorted by name within each folder."""
     found = []
     for source in sources:
         if source.is_dir():

@@ -37,14 +37,14 @@ def fit_target(target: Target, start: Mapping[str, Any], samples: FitSamples) ->
 
     If programs implement the model differently, the sum of their squared residuals is minimised.
 
-    If the rendered sphere differs visibly, a thin film or, for targets without films, a view-dependent base colour is
+    If the rendered ball differs visibly, a thin film or, for targets without films, a view-dependent base colour is
     tried; it is kept if it reduces the error of every implementation. A sheen keeps the hue of its start (grey if
     there is none), unless a free colour also reduces the error over all samples, of which the fit uses a part.
 
     Args:
         target: the target.
         start: parameters derived from `principled`; parameters that are not fitted keep these values.
-        samples: samples of the material, with its sphere; at most 512 are used.
+        samples: samples of the material, with its ball; at most 512 are used.
     """
     few = samples.as_rgb().subsample(_PAIRS)
     free = [name for name, parameter in target.entries.items() if parameter.is_free]

@@ -42,7 +42,7 @@ _TINT_RIDGE = 0.01
 def tint_parameter() -> Parameter:
     """Return the parameter of a specular colour, which a fit changes only if the samples support it.
 
-    It affects little of the light in a fit, but all of a sphere's rim in front of a bright background.
+    It affects little of the light in a fit, but all of a ball's rim in front of a bright background.
     """
     return Parameter([1.0, 1.0, 1.0], is_free=True, ridge=_TINT_RIDGE)
 

@@ -198,7 +198,7 @@ def _read_latent(mi: Any, properties: Any, model: Manifold) -> tuple[list[Any], 
 
 
 def place_of(model: Manifold, latent: str) -> Place:
-    """Return the place that coordinates or a material's name denote. Raises UsageError for a step of a walk."""
+    """Return the point that coordinates or a material's name denote. Raises UsageError for a step of a walk."""
     if latent not in model.names and parse_coordinates(latent) is None:
         if (walk := parse_walk(latent, model.names)) is None:
             raise UnknownNameError(

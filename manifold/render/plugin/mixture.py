@@ -86,7 +86,7 @@ class FixedLatent:
     def of(
         cls, model: Manifold, place: Place, colour: ColourChoice = NEAREST, tolerance: float = 0.0
     ) -> FixedLatent:
-        """Return the latent of a place, with a given colour."""
+        """Return the latent of a point, with a given colour."""
         return cls(model, place.latent, model.choose_colour(place, colour).colours, tolerance)
 
     def moved(self, latent: AnyArray, colours: AnyArray | None) -> FixedLatent:

@@ -182,7 +182,7 @@ def _accepted(work: Any, origin: str) -> Any:
         return work()
     except Exception as error:  # Mitsuba raises bare RuntimeErrors, and plugins their own
         reason = " ".join(str(error).split())[-200:]
-        raise UsageError(f"{origin}: Mitsuba refuses the scene ({reason}); check it there") from error
+        raise UsageError(f"{origin}: Mitsuba refuses the scene ({reason}); correct the scene file") from error
 
 
 def _parse_xml(mi: Any, config: Any, scene: Path) -> tuple[Any, list[Path]]:
@@ -203,7 +203,7 @@ def _dictionary(scene: Path | Mapping[str, Any], origin: str) -> dict[str, Any]:
     content = disk.read_json(scene, "a Mitsuba scene, .xml or .json") if isinstance(scene, Path) else scene
     if not isinstance(content, Mapping) or content.get("type") != "scene":
         raise FileFormatError(
-            f"{origin}: not a scene, expected a dictionary of the type scene as for `mi.load_dict`"
+            f"{origin}: not a scene, expected a dictionary with the type 'scene', as for `mi.load_dict`"
         )
     if holds_none(content):  # ends Mitsuba's process
         raise FileFormatError(f"{origin}: null in the scene, expected a value; remove that entry")

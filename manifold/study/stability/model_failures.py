@@ -1,4 +1,4 @@
-"""Failure modes of manifolds: settings, libraries, places and searches that give unreliable predictions.
+"""Failure modes of manifolds: settings, libraries, points and searches that give unreliable predictions.
 
 Most modes predict a plastic that lies between the measured ones, and divide its error by that of the nearest
 measured material.

@@ -670,6 +670,7 @@ def test_records_are_shown_in_one_line(atoms, calibration):
     made = Completion.of(atoms, readings(np.full((12, 3), 0.1)))
     assert repr(made.readings) == "<Readings: sample, 12 of test, RGB>"
     assert repr(made).startswith("<Completion: sample from 12 readings, ")
+    assert repr(made.brdf).startswith("<AdjustedBRDF: RGB, of <PredictedBRDF: RGB, of ")
     assert repr(calibration).startswith("<Calibration: 6 materials left out, medians: ")
 
 

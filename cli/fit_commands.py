@@ -261,7 +261,12 @@ def export(
     from manifold.io_rgl import material_name
     from manifold.registries import TARGETS
 
-    targets = [TARGETS[name] for name in dict.fromkeys(map(str.strip, (target or _TARGET).split(",")))]
+    names = list(dict.fromkeys(map(str.strip, (target or _TARGET).split(","))))
+    if "shader" in names:
+        raise UsageError(
+            f"--target {target}: a shader goes with no other target; export it by its own command"
+        )
+    targets = [TARGETS[name] for name in names]
     if len(targets) > 1 and pack is not None:
         raise UsageError(f"--pack goes with one target, found {target}")
     if is_many(materials):

@@ -100,7 +100,8 @@ class AttributeOptions:
     gloss: Annotated[
         list[str] | None,
         typer.Option(
-            help="Gloss units that the material should have at 20, 60 or 85 degrees; may be repeated.",
+            help="Gloss units that the material should have at 20, 60 or 85 degrees, or a change of them, such as "
+            "60=+10; may be repeated.",
             metavar="60=UNITS",
             rich_help_panel=COLOUR,
         ),

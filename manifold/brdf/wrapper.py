@@ -24,6 +24,9 @@ class WrappedBRDF(NotebookPicture, ABC):
         self.bands: Bands = brdf.bands
         self.is_isotropic: bool = brdf.is_isotropic
 
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self.bands}, of {self._brdf!r}>"
+
     @abstractmethod
     def eval(self, wi: Array, wo: Array) -> Array:
         """Return f in 1/sr, shape (..., B)."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import ceil
 
 import numpy as np
 
@@ -565,10 +566,12 @@ class Completion:
         """Return a sentence if readings of different incidences differ as no reciprocal material does."""
         if self.factors is None or not self.factors.not_reciprocal:
             return []
+        difference = self.factors.not_reciprocal
         return [
-            f"readings with the directions exchanged differ by {percent(self.factors.not_reciprocal)}, more than any "
-            "reciprocal, isotropic material: the result meets both, and its highlight can have rings; check the "
-            "instrument's geometry, or raise --repeatability to follow their mean"
+            f"readings with the directions exchanged differ by {percent(difference)}, more than a reciprocal, "
+            "isotropic material allows: the result reproduces both, and its highlight can have rings under a small "
+            f"light; check the instrument's geometry, or give --repeatability {ceil(50.0 * difference)}, half the "
+            "difference, to fit their mean"
         ]
 
     def _worst_reading(self) -> str:

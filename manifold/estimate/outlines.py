@@ -79,7 +79,7 @@ def read_photograph(path: Path, is_linear: bool = False) -> Photograph:
     if is_linear and picture.is_encoded:
         values, notes = (
             encode_srgb(values).astype(np.float32),
-            (f"{path.name}: its values are read as linear",),
+            (f"{path.name}: values read as linear",),
         )
     grey = (f"{path.name}: a grey picture, which does not determine the colour",) * picture.is_grey
     return Photograph(

@@ -77,6 +77,7 @@ def test_what_is_reached_is_what_the_prediction_has_and_the_rest_is_said(model):
 
 def test_values_are_absolute_or_relative():
     assert [Wanted.parse(t).of(50.0) for t in ("30", "+10", "-10", ".5")] == [30.0, 60.0, 40.0, 0.5]
+    assert Attributes.parse({"gloss": ["60=+10"]}).wanted == {"gloss_60": Wanted(10.0, is_relative=True)}
     for text in ("", "nan", "ten", "1e9", "--3"):
         with pytest.raises(UsageError, match="expected a number such as 30"):
             Wanted.parse(text)

@@ -296,6 +296,18 @@ def test_a_completion_says_that_readings_are_not_reciprocal(atoms):
     assert ["readings with the directions exchanged differ" in notes for notes in said] == [False, True]
 
 
+def test_the_repeatability_that_a_note_names_fits_the_mean_of_exchanged_readings(atoms):
+    wi, wo = DIRECTIONS
+    f = MeasuredBRDF(measured("syn_felt_orange")).eval(wi, wo)
+    contradicting = readings(f * np.where(INCIDENCES_DEG < 30.0, 0.85, 1.15)[:, None])
+    (note,) = (
+        n for n in Completion.of(atoms, contradicting).notes if "--repeatability" in n and "exchanged" in n
+    )
+    named = float(re.search(r"--repeatability (\d+)", note)[1])
+    again = Completion.of(atoms, replace(contradicting, repeatability=named / 100.0))
+    assert "directions exchanged" not in " ".join(again.notes)
+
+
 def test_the_next_reading_is_the_one_that_lowers_both_errors_most(rng):
     H, M, D, P, K = 30, 12, 7, 11, 5
 
@@ -658,6 +670,7 @@ def test_records_are_shown_in_one_line(atoms, calibration):
     made = Completion.of(atoms, readings(np.full((12, 3), 0.1)))
     assert repr(made.readings) == "<Readings: sample, 12 of test, RGB>"
     assert repr(made).startswith("<Completion: sample from 12 readings, ")
+    assert repr(made.brdf).startswith("<AdjustedBRDF: RGB, of <PredictedBRDF: RGB, of ")
     assert repr(calibration).startswith("<Calibration: 6 materials left out, medians: ")
 
 

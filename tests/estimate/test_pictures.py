@@ -27,6 +27,9 @@ def test_png_is_decoded_as_srgb_with_a_note(tmp_path, picture):
     read = read_photograph(tmp_path / "a.png")
     assert np.allclose(read.values, decoded(picture), atol=1e-6)
     assert any("sRGB" in note for note in read.notes)
+    linear = read_photograph(tmp_path / "a.png", is_linear=True)
+    assert np.allclose(linear.values, picture / 255.0, atol=1e-6)
+    assert linear.notes == ("a.png: values read as linear",)
 
 
 def test_exr_and_tiff_are_linear(tmp_path, picture):

@@ -150,6 +150,7 @@ def test_a_fit_becomes_a_shader(tmp_path):
         (("--target", "shader", "--pack", "pack"), "--pack goes with a library or a folder"),
         (("--tolerance", "1"), "--tolerance and --prefix go with --target shader"),
         (("--target", "shadr"), "no target is called 'shadr'"),
+        (("--target", "gltf,shader"), "--target gltf,shader: a shader goes with no other target"),
     ],
 )
 def test_wrong_options_are_refused(folder, words, message, tmp_path, monkeypatch):

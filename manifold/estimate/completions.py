@@ -571,6 +571,7 @@ def complete(
         _of_unit(readings, written.plausibility)
         + written.notes
         + notes_of(completion, calibration, balls)
+        + _of_left_out(expected, left_out)
         + ("the residual of the pixels refers to the material before it was made physical",)
         * bool(balls and written.projection)
     )

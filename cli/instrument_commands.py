@@ -121,7 +121,6 @@ def convert(
     if report is not None:
         made.write_report(report, output)
         rows["report"] = report
-    for k, note in enumerate(made.notes, start=1):
-        rows[f"note {k}"] = note
+    rows |= terminal.numbered("note", made.notes)
     results.rows(f"{output}: {made.target}", rows)
     results.document({"path": output, **made.to_json()})

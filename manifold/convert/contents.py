@@ -52,7 +52,7 @@ def inspect_instrument_file(
     rows |= _of_table(first) if isinstance(first, DenseTable) else _of_readings(first)
     rows["values in 1/sr"] = _range(np.concatenate([record.values.ravel() for record in records]))
     for k, note in enumerate(dict.fromkeys(note for record in records for note in record.notes), start=1):
-        rows[f"note {k}"] = note
+        rows["note" if k == 1 else f"note {k}"] = note
     size = path.stat().st_size
     rows["size"] = f"{size / 1e6:.3g} MB" if size >= 1e5 else f"{size / 1e3:.3g} kB"
     tables: list[Table] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -42,6 +43,12 @@ MOST_RESIDUAL = 0.02  # difference between reflectances
 MOST_UNMEASURED = 0.01  # share of the cells that should hold something
 MOST_EMBEDDING_ERROR = 0.5  # relative: half of the material is not reconstructed
 MOST_EMBEDDING_BALL = 5.0  # CIEDE2000: an observer sees two different colours (Mokrzycki & Tatol 2011)
+
+
+def _expected_ball(content: Mapping[str, Any]) -> float | None:
+    """Return the expected error of the ball that the row of a prediction states first, given its JSON."""
+    expected = content["expected_in_chosen_colour"] or content["expected"]
+    return None if expected is None else float(expected["ball"])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -144,7 +151,7 @@ class DiagnosedPrediction(Result):
         )
     )
     materials: int = field(metadata=entry())
-    expected: Errors[Array] | None = field(metadata=entry(columns={EXPECTED_BALL: ("ball",)}))
+    expected: Errors[Array] | None = field(metadata=entry(columns={EXPECTED_BALL: _expected_ball}))
     expected_in_chosen_colour: Errors[Array] | None = field(metadata=entry())
     posterior: Posterior | None = field(
         default=None,

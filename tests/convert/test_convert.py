@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -444,6 +445,17 @@ def test_csv_keeps_what_else_readings_say_and_other_formats_say_what_they_leave_
     assert not any("left out" in note for note in convert([tmp_path / "all.csv"], tmp_path / "y.csv").notes)
     (note,) = [n for n in convert([tmp_path / "all.csv"], tmp_path / "y.astm").notes if "cannot store" in n]
     assert note == "left out, because ASTM table cannot store them: weights, uncertainties, gloss"
+
+
+def test_notes_of_a_conversion_are_labelled_like_those_of_other_commands(tmp_path, capsys):
+    wi, wo = (np.array([[0.0, np.sin(a), np.cos(a)]]) for a in (0.5, -0.5))
+    csv_table.write(
+        tmp_path / "a.csv", Readings("a", "test", wi, wo, None, np.full((1, 3), 0.1), gloss={60.0: 30.0})
+    )
+    run_quietly(["convert", str(tmp_path / "a.csv"), "-o", str(tmp_path / "a.astm")])
+    printed = capsys.readouterr().out
+    assert re.search(r"^  note +\S", printed, re.MULTILINE)
+    assert "note 1" not in printed
 
 
 def test_merged_readings_keep_the_gloss_of_every_file(tmp_path):

@@ -62,6 +62,8 @@ def test_rows_are_predicted_as_one_by_one(model, tmp_path):
     made = json.loads((tmp_path / "r.json").read_text())
     assert [row["name"] for row in made["predictions"]] == ["plain", "felt", "orange", "blue", "red"]
     assert made["failed"] == []
+    with (tmp_path / "out" / "predictions.csv").open(encoding="utf-8-sig") as file:
+        stated = {row["name"]: float(row["expected CIEDE2000 (five lights)"]) for row in csv.DictReader(file)}
     loaded = Manifold.load(model)
     expected = {
         "plain": ((0.1, -0.2), ColourChoice()), "felt": (NAMES[0], ColourChoice()),
@@ -70,7 +72,8 @@ def test_rows_are_predicted_as_one_by_one(model, tmp_path):
     }  # fmt: skip
     for name, (place, colour) in expected.items():
         alone = tmp_path / f"{name}_rgb.bsdf"
-        predictions.predict(loaded, place, alone, colour=colour)
+        made = predictions.predict(loaded, place, alone, colour=colour)
+        assert stated[name] == pytest.approx((made.expected_in_chosen_colour or made.expected).ball)
         found = read_bsdf(tmp_path / "out" / f"{name}_rgb.bsdf")
         assert np.array_equal(found.spectra, read_bsdf(alone).spectra)
 

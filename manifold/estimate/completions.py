@@ -653,8 +653,8 @@ def _of_left_out(expected: Errors[float], left_out: LeftOutReadings | None) -> t
     if left_out is None or left_out.typical.ball != expected.ball:
         return ()
     return (
-        f"readings that the others predict are off by CIEDE2000 {expected.ball:.2g} in the median, more than the ball "
-        "of a similar library material: this is its expected error",
+        f"readings that the others predict are off by CIEDE2000 {expected.ball:.2g} in the median (under the light of "
+        "the readings' colours), more than the ball of a similar library material: this is its expected error",
     )
 
 

@@ -176,7 +176,7 @@ def test_colour_is_imported_lazily_and_quietly(tmp_path):
 
 @pytest.mark.parametrize("nm", [(850.5, 940.5, 1050.5), (250.5, 300.5, 350.5), (350.5, 900.5), (905.5,)])
 def test_bands_beyond_the_visible_are_said_to_have_no_colour(nm):
-    with pytest.warns(InvisibleBandsWarning, match=f"{nm[0]:.1f}.*: no colour"):
+    with pytest.warns(InvisibleBandsWarning, match=f"{nm[0]:.1f}.*have no colour"):
         to_srgb(np.ones(len(nm)), Bands(nm))
 
 

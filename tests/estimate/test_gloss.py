@@ -304,7 +304,7 @@ def test_the_note_on_gloss_that_is_not_reproduced_is_of_the_file(library, tmp_pa
     made = completions.complete(library, read, path, options=options)
     units = gloss_units(MeasuredBRDF(read_bsdf(path)), [60.0])[60.0]
     assert f"{units:.3g}" != f"{gloss_units(made.completion.brdf, [60.0])[60.0]:.3g}"
-    assert any(f"not reproduced: {units:.3g} units, 990 read" in note for note in made.diagnostics)
+    assert any(f"not reproduced: {units:.3g} units instead of 990" in note for note in made.diagnostics)
 
 
 def test_a_fit_of_readings_has_their_notes_and_says_that_it_uses_no_gloss(run, tmp_path):

@@ -300,7 +300,7 @@ def test_samples_of_two_files_are_paired_by_name(tmp_path):
         UsageError, match=r"no sample has the same name in both; found red \(.*a\.csv only; blue"
     ):
         instruments.pairs_of(a, c)
-    with pytest.raises(UsageError, match=r"a\.csv is named twice"):
+    with pytest.raises(UsageError, match=r"a\.csv is given twice"):
         instruments.pairs_of(a, a)
 
 

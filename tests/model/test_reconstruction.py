@@ -73,7 +73,7 @@ def test_more_numbers_describe_a_new_material_better(model):
     errors = [brdf_errors(brdf, model.reconstruct(brdf, numbers)) for numbers in (3, 8, 24)]
     assert np.all(np.diff([error.cube_root for error in errors]) < 0.0)
     assert errors[2].ball < 0.5 * errors[0].ball
-    with pytest.raises(UsageError, match="found 0 numbers"):
+    with pytest.raises(UsageError, match="found a limit of 0 parameters"):
         model.reconstruct(brdf, 0)
 
 

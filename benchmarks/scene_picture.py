@@ -133,7 +133,7 @@ def main() -> None:
             shown = row[2].imshow(difference, cmap="magma", vmin=0.0, vmax=LARGEST)
             row[0].set_ylabel(name.replace("_", " "))
             row[1].set_xlabel(f"ball error {ball:.1f}")
-            row[2].set_xlabel(f"CIEDE2000 {off:.1f}, FLIP {flip:.3f}, means over the vase")
+            row[2].set_xlabel(f"CIEDE2000 {off:.1f}, FLIP {flip:.3f}")
     for axis in axes.flat:
         axis.set_xticks([])
         axis.set_yticks([])

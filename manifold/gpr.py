@@ -167,9 +167,8 @@ class GaussianProcess:
         """Return the weights V with prediction = V @ Y, shape (M, N); each row sums to 1.
 
         `v_i = w_i + (1 - sum(w)) / N` with `w = K^-1 k*`, because the mean of the training outputs is subtracted
-        before
-            the prediction and added after it. At a training latent the row is exactly a unit vector; if several
-            training latents coincide there, the first one has the weight.
+        before the prediction and added after it. At a training latent the row is exactly a unit vector; if several
+        training latents coincide there, the first one has the weight.
 
         Args:
             X_new: latents, shape (M, Q).
@@ -294,7 +293,7 @@ class GaussianProcess:
         Row i equals the weights of a process fitted on the other N - 1 samples, evaluated at x_i: with
         `P = K^-1` its uncentred weights are `a_j = -P_ij / P_ii`, and centring on the mean of the *remaining*
         samples adds `(1 - sum(a)) / (N - 1)`. If another training latent coincides with x_i, the prediction is its
-            sample, as in `weights`.
+        sample, as in `weights`.
 
         There are at least two samples.
 

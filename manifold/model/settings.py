@@ -77,7 +77,9 @@ class Settings(ABC):
 class BlendSettings(Settings):
     """The settings of a map of blends, where every point is a non-negative combination of the cube roots of materials.
 
-    Attributes: those of `Settings`, and
+    It has the attributes of `Settings` too.
+
+    Attributes:
         sample_bands: largest number of bands per material from which colours are mixed.
         landmarks: number of materials that are laid out together; the others are located among them. None lays out up
             to 300 materials together, and uses 150 landmarks for more.
@@ -116,7 +118,9 @@ class BlendSettings(Settings):
 class GplvmSettings(Settings):
     """The settings of a Gaussian-process latent variable model of whole materials (Hikichi & Iwasaki).
 
-    Attributes: those of `Settings`, and
+    It has the attributes of `Settings` too.
+
+    Attributes:
         mapping: name of the mapping.
         optimizer: one of `registries.OPTIMIZERS`.
         mu: noise filter of the kernel.

@@ -37,7 +37,7 @@ from manifold.render import backend
 
 SUMMED = 8  # files of a weighted sum
 MATERIAL = "syn_satin_gold"
-PAIRS = {"rgb": 200_000, "spectral": 20_000}
+PAIRS = {"rgb": 2_000_000, "spectral": 200_000}
 
 Work = Callable[[], object]
 
@@ -49,7 +49,7 @@ def main() -> None:
     )
     parser.add_argument("--rgb", type=Path, metavar="FILE")
     parser.add_argument("--spectral", type=Path, metavar="FILE")
-    parser.add_argument("--pairs", type=int, help="by default 200,000 of RGB, 20,000 of spectra")
+    parser.add_argument("--pairs", type=int, help="by default 2,000,000 of RGB, 200,000 of spectra")
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()

@@ -31,7 +31,7 @@ from manifold.model.prediction import ClippedBRDF
 MOST_NODES = 100_000
 """Largest number of nodes at which the error of a conversion is measured.
 
-Of more nodes, evenly spaced ones are used.
+If a file has more, evenly spaced nodes are used.
 """
 _LUMINANCE = Bands((550.0,))
 

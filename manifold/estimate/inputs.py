@@ -260,8 +260,8 @@ def read_points(path: Path, model: Path, library: Path | None = None) -> tuple[l
     The point is in the columns `x`, `y`, `z` or `x1`, `x2`, ... (coordinates), `latent` (all coordinates in one
     cell), or `material` (a name). `name` names the output; without it, outputs are numbered. At most one of `like`,
     `srgb` and `reflectance` gives a colour; paths are relative to the folder of the table. Columns are separated by
-    comma, semicolon or tab; Excel's line `sep=;` may come first. From a table written by `locate` or `predict`,
-    latents and names are read.
+    comma, semicolon or tab; Excel's line `sep=;` may come first. If `locate` or
+    `predict` wrote the table, its latents and names are read.
     """
     advice = "name a CSV file of points"
     text = decode(disk.read_bytes(path, advice=advice, most=disk.MOST_TEXT))

@@ -31,11 +31,7 @@ class LeftOutReadings:
 
     @property
     def typical(self) -> Errors[float]:
-        """The median errors, taken as ball error and as cube-root error beside highlights; NaN without colours.
-
-        Of 65 neural fits completed from an MA-T12, three have a larger median than expected ball error. The true ball
-        error of these three is 1.8 times the expected one (median), that of the other fits 0.9 times.
-        """
+        """The median errors, taken as ball error and as cube-root error beside highlights; NaN without colours."""
         ball = np.nan if self.ciede2000 is None else float(np.median(self.ciede2000))
         relative = float(np.median(self.relative))
         return Errors(ball=ball, cube_root=relative, elsewhere=relative)

@@ -209,7 +209,7 @@ def _write(
 def _diagnose(
     model: Manifold, made: _Made, written: WrittenFile, clipped_share: float, read_back: BRDF
 ) -> DiagnosedPrediction:
-    """Return what is known of a written material: the change of its own values, or what to expect of the map."""
+    """Return the diagnosis of a written material: how far an edit changed it, or the expected errors of the map."""
     found, adjusted = (written.plausibility, clipped_share), made.adjusted
     if made.place is None:
         prediction = diagnose_file(made.own, made.brdf, made.chosen, *found, made.unmeasured)

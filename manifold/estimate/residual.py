@@ -33,9 +33,7 @@ _LENGTHS = np.array([0.12, 0.3, 0.3])  # correlation lengths of the three coordi
 _MOST = 0.5  # relative residual: larger ones come from a wrong mixture, and say nothing of nearby directions
 _CELL = 0.5  # width of a cell, whose readings are averaged, in correlation lengths
 _MOST_CELLS = 256
-_NOT_RECIPROCAL = (
-    3.0  # standard deviations: of 131 neural fits, which are reciprocal, 4 exceed it from an MA-T12
-)
+_NOT_RECIPROCAL = 3.0  # standard deviations, the usual limit
 _BLOCK = 4096  # direction pairs at a time
 
 

@@ -94,11 +94,10 @@ def require_no_export(path: Path) -> None:
     is_json = read_export(path) is not None
     if path.suffix.lower() not in _ENGINE_SUFFIXES and not is_json:
         return
+    of_file = f"; `manifold info {path.name}` states that of this file" if is_json else ""
     raise UsageError(
         f"{path}: a file for engines, which cannot be read back, expected its material; `manifold export MATERIAL "
-        "--target NAME --picture` states the error of the export and draws both"
-        + f"; `manifold info {path.name}` states that of this file"
-        * is_json
+        f"--target NAME --picture` states the error of the export and draws both{of_file}"
     )
 
 

@@ -21,7 +21,7 @@ from manifold.colour.illuminants import Illuminant
 from manifold.core import progress
 from manifold.core.errors import UsageError
 from manifold.core.records import Array
-from manifold.render import backend, scenes
+from manifold.render import backend, measured_plugin, scenes
 from manifold.render.plugin.bsdf import register
 
 LARGEST_SIZE = 8192
@@ -80,13 +80,16 @@ def render_bsdf(
     if is_rgb:
         require_d65(settings.illuminant)
         mi = backend.mitsuba("rgb")
+        film = rgb_film(settings.size) | window
         scene = mi.load_dict(
-            scenes.material_ball(mi, bsdf, rgb_film(settings.size) | window, settings.environment)
+            scenes.material_ball(mi, measured_plugin.load_bsdf(mi, bsdf), film, settings.environment)
         )
         return render_scene(mi, scene, settings)
     mi = backend.mitsuba("spectral")
     film = colorimetric_film(mi, settings.size, settings.illuminant) | window
-    scene = mi.load_dict(scenes.material_ball(mi, bsdf, film, settings.environment))
+    scene = mi.load_dict(
+        scenes.material_ball(mi, measured_plugin.load_bsdf(mi, bsdf), film, settings.environment)
+    )
     xyz = render_scene(mi, scene, settings)
     return xyz_to_srgb(xyz, sensor_responses(settings.illuminant)[1].sum(axis=0))
 
@@ -108,7 +111,8 @@ def render_floating_ball(
     settings, bsdf = RenderSettings(size, samples), {"type": "measured", "filename": str(path)}
     mi = backend.mitsuba("rgb" if is_rgb else "spectral")
     film = rgb_film(size) if is_rgb else colorimetric_film(mi, size, settings.illuminant)
-    scene = mi.load_dict(scenes.floating_ball(mi, bsdf, film, environment, **view))
+    loaded = measured_plugin.load_bsdf(mi, bsdf)
+    scene = mi.load_dict(scenes.floating_ball(mi, loaded, film, environment, **view))
     picture = render_scene(mi, scene, settings)
     return picture if is_rgb else xyz_to_srgb(picture, sensor_responses(settings.illuminant)[1].sum(axis=0))
 

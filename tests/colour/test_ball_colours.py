@@ -12,6 +12,7 @@ from manifold.colour import ball_colours
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.core.records import Bands
 from manifold.io_rgl import write_bsdf
+from manifold.render.measured_plugin import load_bsdf
 
 RGB = Bands(None)
 PIXELS, FINER = 10, 9  # the render has a pixel at the centre of each of the ball's
@@ -39,7 +40,7 @@ def _render(path: Path) -> np.ndarray:
             "bitmap": mi.Bitmap(ball_colours.environment().astype(np.float32)),
             "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], 90),
         },
-        "ball": {"type": "sphere", "material": {"type": "measured", "filename": str(path)}},
+        "ball": {"type": "sphere", "material": load_bsdf(mi, {"type": "measured", "filename": str(path)})},
     }  # fmt: skip
     picture = np.array(mi.render(mi.load_dict(scene)), dtype=float)
     # Nine pixels around each centre, for less noise.

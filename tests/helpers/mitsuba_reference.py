@@ -7,6 +7,8 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 
+from manifold.render.measured_plugin import load_bsdf
+
 
 def measured(
     path: Path, wi: np.ndarray, wo: np.ndarray, wavelengths_nm: np.ndarray | None
@@ -21,7 +23,7 @@ def measured(
         f_cos (K, 4) or (K, 3) in 1/sr, and the pdf (K,) in 1/sr.
     """
     mi.set_variant("scalar_rgb" if wavelengths_nm is None else "scalar_spectral")
-    bsdf = mi.load_dict({"type": "measured", "filename": str(path)})
+    bsdf = load_bsdf(mi, {"type": "measured", "filename": str(path)})
     context = mi.BSDFContext()
     interaction = mi.SurfaceInteraction3f()
     f_cos = np.empty((len(wi), 3 if wavelengths_nm is None else 4))

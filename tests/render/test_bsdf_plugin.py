@@ -34,6 +34,7 @@ from manifold.model.prediction import PredictedBRDF
 from manifold.model.settings import BlendSettings, GplvmSettings
 from manifold.registries import MAPPINGS
 from manifold.render import backend, scenes
+from manifold.render.measured_plugin import load_bsdf
 from manifold.render.plugin import mixture
 from manifold.render.plugin.bsdf import NAME
 from manifold.render.render import RenderSettings, colorimetric_film, render_scene, rgb_film
@@ -120,7 +121,7 @@ class InMitsuba:
 
     def __init__(self, mi, scene, wavelengths_nm=None):
         self.mi, self.dr = mi, backend.drjit()
-        self.bsdf = mi.load_dict(scene)
+        self.bsdf = load_bsdf(mi, scene)
         self.wavelengths_nm = wavelengths_nm
         self.rng = np.random.default_rng(7)
 
@@ -283,7 +284,7 @@ def test_the_mean_sample_weight_is_the_albedo(models, rng, theta_deg):
 
 def passes(mi, material, film, first_seed, count=12):
     """Independent pictures of the ball, (count, 20, 20, 3)."""
-    scene = mi.load_dict(scenes.material_ball(mi, material, film))
+    scene = mi.load_dict(scenes.material_ball(mi, load_bsdf(mi, material), film))
     settings = [RenderSettings(size=20, samples=25, seed=first_seed + k) for k in range(count)]
     return np.array([render_scene(mi, scene, s) for s in settings])
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from manifold.core import disk
 from manifold.core.errors import FileFormatError, MissingFileError, UsageError
-from manifold.render import backend
+from manifold.render import backend, measured_plugin
 from manifold.render.backend import Backend
 from manifold.render.plugin_names import holds_none, require_plugins, types_of
 
@@ -118,6 +118,7 @@ class SceneDocument:
                             del node.props[name]
                     node.props["film"] = mi.Properties.ResolvedReference(index)
             mi.parser.transform_all(config, state)
+            _load_measured(mi, state)
             return mi.parser.instantiate(config, state)
 
         return _accepted(instantiate, self.origin)
@@ -168,6 +169,19 @@ def _append(mi: Any, state: Any, content: Mapping[str, Any]) -> int:
             node.props[name] = mi.Properties.ResolvedReference(first + child)
         state.nodes.append(node)
     return first
+
+
+def _load_measured(mi: Any, state: Any) -> None:
+    """Load the `measured` plugins of a state, so that they fold no azimuths; see `measured_plugin`."""
+    loaded: dict[int, Any] = {}
+    for node in state.nodes:
+        for name, child in _children(mi, node.props):
+            props = state.nodes[child].props
+            if props.plugin_name() == "measured":
+                if child not in loaded:
+                    content = {"type": "measured", "filename": props["filename"]}
+                    loaded[child] = measured_plugin.load_bsdf(mi, content)
+                node.props[name] = loaded[child]
 
 
 def _children(mi: Any, props: Any) -> list[tuple[str, int]]:

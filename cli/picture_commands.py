@@ -253,7 +253,10 @@ SamplesOption = Annotated[
 SeedOption = Annotated[
     int,
     typer.Option(
-        help="Seed of the noise; equal seeds give equal pictures.", metavar="N", min=0, rich_help_panel=LIGHT
+        help="Seed of the noise; equal seeds give equal pictures, to rounding.",
+        metavar="N",
+        min=0,
+        rich_help_panel=LIGHT,
     ),
 ]
 

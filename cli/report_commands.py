@@ -361,7 +361,7 @@ def budget(
         int, typer.Option(help="Samples per pixel, in the analysis.", metavar="N", min=1, max=1 << 16)
     ] = 128,
     seed: Annotated[
-        int, typer.Option(help="Seed of the noise; equal seeds give equal pictures.", metavar="N", min=0)
+        int, typer.Option(help="Seed of the noise; equal seeds give equal pictures, to rounding.", metavar="N", min=0)
     ] = 0,
     picture: Annotated[
         bool,

@@ -28,7 +28,7 @@ def load_bsdf(mi: Any, content: Mapping[str, Any] | Any) -> Any:
     made = mi.load_dict(dict(content))
     if content["type"] != "measured" or len(read_tensors(Path(content["filename"]))["phi_i"]) > 2:
         return made
-    folded = []  # kept, so that their memory is not used again
+    folded: list[Any] = []  # kept, so that their memory is not used again
     while len(folded) < MOST_INSTANCES and folds(mi, made):
         folded.append(made)
         made = mi.load_dict(dict(content))

@@ -38,12 +38,16 @@ def of_materials(model: Manifold) -> list[Array]:
 
 def of_material(material: BRDF | BsdfFile) -> Array:
     """Render a material as a ball under the studio's light, RGBA in [0, 1], (H, W, 4), transparent around it."""
-    return _cut_out(render_material(material, _settings()))
+    backend.imported()
+    with backend.one_thread():  # or sums of pixels that two threads share differ by rounding from run to run
+        return _cut_out(render_material(material, _settings()))
 
 
 def of_file(path: Path) -> Array:
     """Render a measured file, or the JSON of a fit, as `of_material` does."""
-    return _cut_out(read_material(path).render(_settings()))
+    backend.imported()
+    with backend.one_thread():
+        return _cut_out(read_material(path).render(_settings()))
 
 
 def write(path: Path, image: Array) -> None:

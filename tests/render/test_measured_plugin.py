@@ -12,6 +12,7 @@ from helpers.mitsuba_reference import measured
 from manifold.analytic import corpus
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.io_rgl import read_bsdf, write_bsdf
+from manifold.render import backend, thumbnails
 from manifold.render.measured_plugin import MOST_INSTANCES, folds, load_bsdf
 
 SIDES = {m.name: m for m in corpus.isotropic_materials()}["syn_iridescent_green"]  # with noise on both sides
@@ -61,3 +62,12 @@ def test_a_black_file_is_loaded_after_a_limited_number_of_instances(noisy_file, 
     write_bsdf(path, replace(file, spectra=0 * file.spectra))
     assert MOST_INSTANCES < 100
     assert folds(mi, load_bsdf(mi, {"type": "measured", "filename": str(path)}))
+
+
+def test_balls_of_a_file_are_equal_to_the_last_bit(noisy_file):
+    if not backend.choose().is_llvm:
+        pytest.skip("needs a libLLVM that Dr.Jit can use")
+    before = backend.drjit().thread_count()
+    first, *others = (thumbnails.of_file(noisy_file) for _ in range(5))
+    assert all(np.array_equal(first, other) for other in others)
+    assert backend.drjit().thread_count() == before

@@ -90,9 +90,19 @@ class Bands:
         nm = self.wavelengths_nm
         return self if nm is None else Bands(tuple(nm[b] for b in indices))
 
-    def require_same(self, other: Bands, where: str, remedy: str) -> None:
-        """Raise BandMismatchError unless `other` has exactly the same bands."""
+    def require_same(self, other: Bands, where: str, remedy: str = "") -> None:
+        """Raise BandMismatchError unless `other` has exactly the same bands.
+
+        By default the message advises to use a library of the same bands, or to turn spectra into RGB.
+        """
         if self != other:
+            if not remedy:
+                remedy = "use a library of the same bands"
+                if self.is_rgb:
+                    remedy += (
+                        ", or turn it into RGB: manifold convert NAME.bsdf -o NAME.binary, then "
+                        "manifold convert NAME.binary -o NAME_rgb.bsdf"
+                    )
             raise BandMismatchError(f"{where}: found {other}, expected {self}; {remedy}")
 
 

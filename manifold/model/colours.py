@@ -71,7 +71,7 @@ class ColourChoice:
         """Return the given reflectance in these bands, shape (B,), and a text that says where it comes from."""
         if self.is_like_file:
             file = read_bsdf(Path(str(self.like)))
-            bands.require_same(file.bands, str(self.like), "resample it, or use its own library")
+            bands.require_same(file.bands, str(self.like))
             sphere = integrating_sphere()
             factor = sphere.of(values_at(MeasuredBRDF(fill_unmeasured(file)), sphere))[0]
             return np.clip(factor, 0.0, 1.0), f"like {self.like}"

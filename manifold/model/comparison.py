@@ -41,7 +41,7 @@ def require_both(brdf: BRDF, predicted: BRDF) -> None:
     """Raise UsageError or BandMismatchError unless both arguments are BRDFs with the same bands."""
     require_brdf(brdf, "the true BRDF")
     require_brdf(predicted, "the prediction")
-    brdf.bands.require_same(predicted.bands, "the prediction", "resample it")
+    brdf.bands.require_same(predicted.bands, "the prediction")
 
 
 def brdf_errors(brdf: BRDF, predicted: BRDF) -> Errors[float]:

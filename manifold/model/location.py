@@ -154,7 +154,7 @@ def reconstruct_file(
             f"{library.path}: no material is left to reconstruct from; import others, or leave out fewer"
         )
     brdf, notes = _filled(file)
-    library.bands.require_same(brdf.bands, file.name, "resample it, or use its own library")
+    library.bands.require_same(brdf.bands, file.name)
     materials = MaterialCache(library, names, is_nonnegative=True)
     bands = evenly_spaced(library.bands.count, SAMPLE_BANDS)
     trials = [0.0] if materials.is_isotropic else trial_rotations(file)

@@ -452,7 +452,7 @@ class Manifold(Embedding):
             ShapeError: its `eval` returns another shape, or values that are not finite.
         """
         require_brdf(brdf, "the material to embed")
-        self.bands.require_same(brdf.bands, "the material to embed", "resample it, or use its own library")
+        self.bands.require_same(brdf.bands, "the material to embed")
         is_isotropic = self.materials.is_isotropic and brdf.is_isotropic
         pairs = self.space.embedding_pairs(is_isotropic)
         f = brdf.eval(pairs.wi, pairs.wo)
@@ -481,9 +481,7 @@ class Manifold(Embedding):
             ShapeError: its `eval` returns another shape, or values that are not finite.
         """
         require_brdf(brdf, "the material to reconstruct")
-        self.bands.require_same(
-            brdf.bands, "the material to reconstruct", "resample it, or use its own library"
-        )
+        self.bands.require_same(brdf.bands, "the material to reconstruct")
         bands = evenly_spaced(self.bands.count, SAMPLE_BANDS)
         return reconstruct(self.materials, bands, brdf, numbers)
 

@@ -114,7 +114,7 @@ def _end(model: Manifold, source: MaterialSource) -> BRDF:
     if isinstance(source, LibrarySource) and source.name in model.names:
         return model.materials.filled([source.name])[0]
     brdf = MeasuredBRDF(fill_unmeasured(read_source(source)))
-    model.bands.require_same(brdf.bands, str(source), "resample it, or use its own library")
+    model.bands.require_same(brdf.bands, str(source))
     return brdf
 
 

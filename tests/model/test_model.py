@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import pickle
+import re
 import shutil
 import warnings
 from dataclasses import replace
@@ -15,10 +16,13 @@ import pytest
 from helpers.places import inside_hull
 from helpers.small_library import NAMES, measured, small_library
 from threadpoolctl import threadpool_info, threadpool_limits
+from typer.testing import CliRunner
 
 from manifold.analytic.base import Lambert
+from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import fill_unmeasured
+from manifold.cli.main import app
 from manifold.colour import panel
 from manifold.core import progress
 from manifold.core.directions import from_spherical
@@ -33,7 +37,7 @@ from manifold.core.metrics import rmse
 from manifold.core.pairs import RusinkiewiczGrid, cosine_weight
 from manifold.core.records import Bands
 from manifold.gp.kernels import Kernel
-from manifold.io_rgl import write_bsdf
+from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model import blending, gram, model_file
@@ -462,3 +466,22 @@ def test_a_layout_is_fitted_by_one_thread_of_blas(tmp_path):
     with threadpool_limits(2, "blas"), progress.listen(step):
         Manifold.fit(library)
     assert set(counts) == {1}
+
+
+def test_a_spectral_file_is_located_on_an_rgb_map_after_the_conversion_that_the_message_names(
+    tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    few = goniometer.measure(
+        Lambert(np.linspace(0.1, 0.5, 16), Bands(tuple(np.linspace(400.0, 700.0, 16)))), "s"
+    )
+    write_bsdf("NAME.bsdf", few)
+    rgb = Manifold.load("built-in")
+    with pytest.raises(BandMismatchError, match="expected RGB") as refusal:
+        rgb.embed(MeasuredBRDF(few))
+    commands = re.findall(r"manifold (convert \S+ -o [\w.]+)", str(refusal.value))
+    assert len(commands) == 2
+    for command in commands:
+        assert CliRunner().invoke(app, command.split()).exit_code == 0
+    located = rgb.embed(MeasuredBRDF(read_bsdf("NAME_rgb.bsdf")))
+    assert rgb.nearest(located.latent, 1)

@@ -248,7 +248,8 @@ def test_an_optimiser_recovers_latents_of_two_balls_that_light_each_other(models
     first, last = (model.between("syn_metal_copper", "syn_satin_gold", t) for t in (0.4, 0.6))
     share = np.linspace(0.0, 1.0, 16).reshape(4, 4, 1)
     unknown = first + share * (last - first) if is_texture else first
-    start = np.zeros_like(unknown) + model.between("syn_metal_copper", "syn_paper_white", 0.5)
+    # From halfway to white paper, a single latent ends in another minimum, beyond a red material.
+    start = np.zeros_like(unknown) + model.between("syn_metal_copper", "syn_paper_white", 0.25)
 
     def bsdf(latents):
         path = models["rgb blend"]
@@ -273,4 +274,4 @@ def test_an_optimiser_recovers_latents_of_two_balls_that_light_each_other(models
         params.update(optimizer)
     found = np.stack([np.array(params[key]) for key in keys], axis=-1).reshape(np.shape(unknown))
     off, off_before = (np.median(np.linalg.norm(x - unknown, axis=-1)) for x in (found, start))
-    assert off < 0.4 * off_before  # 0.21 and 0.30 after 160 steps: a blend changes slowly near its materials
+    assert off < 0.4 * off_before  # after 160 steps: a blend changes slowly near its materials

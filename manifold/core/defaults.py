@@ -27,4 +27,6 @@ COMPACT_TOLERANCE, SHADER_TOLERANCE = 0.2, 0.3
 """Mean CIEDE2000 of the ball that a compact material, or a shader's table, may differ by."""
 
 TINY = 1e-9
-"""Smallest divisor, and largest share that is treated as 0; far below any visible or measurable value."""
+"""Smallest divisor, far below any visible or measurable value."""
+ROUNDING = 1e-9
+"""Largest relative difference that counts as rounding, and largest share, gain or gradient that counts as none."""

@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 
 from manifold.core.compiled import loops
-from manifold.core.defaults import TINY
+from manifold.core.defaults import ROUNDING
 from manifold.core.errors import NumericalError, ShapeError, UsageError
 from manifold.core.records import Array
 from manifold.core.threads import one_blas_thread
@@ -114,9 +114,9 @@ def fix_gauge(X: Array) -> Array:
     """
     X = X - X.mean(axis=0)
     tail = np.sum(X**3, axis=0)
-    is_largest = np.abs(X) >= (1.0 - TINY) * np.abs(X).max(axis=0)
+    is_largest = np.abs(X) >= (1.0 - ROUNDING) * np.abs(X).max(axis=0)
     largest = X[is_largest.argmax(axis=0), np.arange(X.shape[1])]
-    is_symmetric = np.abs(tail) <= TINY * np.sum(np.abs(X) ** 3, axis=0)
+    is_symmetric = np.abs(tail) <= ROUNDING * np.sum(np.abs(X) ** 3, axis=0)
     return X * np.where(np.where(is_symmetric, largest, tail) < 0, -1.0, 1.0)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from manifold.core.compiled import loops
-from manifold.core.defaults import TINY
+from manifold.core.defaults import ROUNDING
 from manifold.core.errors import ShapeError
 from manifold.core.records import Array
 
@@ -33,5 +33,5 @@ def nonnegative_weights(gram: Array, cross: Array) -> Array:
     unit = gram / scale[:, None] / scale
     unit[np.diag_indices(n)] = 1.0 + _RIDGE
     weights = np.empty(cross.shape)
-    loops.solve_nonnegative(unit, cross / scale, TINY, weights)
+    loops.solve_nonnegative(unit, cross / scale, ROUNDING, weights)
     return weights / scale

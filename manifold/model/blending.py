@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from manifold.core.compiled import loops
-from manifold.core.defaults import TINY
+from manifold.core.defaults import ROUNDING
 from manifold.core.errors import ShapeError
 from manifold.core.records import Array, Indices
 from manifold.gp.kernels import squared_distances
@@ -176,7 +176,7 @@ class LayoutObjective:
     """
 
     def __init__(self, others: Indices, affinity: Array) -> None:
-        used = affinity > TINY
+        used = affinity > ROUNDING
         i = np.broadcast_to(np.arange(len(others))[:, None], others.shape)
         self._i, self._j, self._p = i[used], others[used], affinity[used] / len(others)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from manifold.core.defaults import TINY
+from manifold.core.defaults import ROUNDING
 from manifold.core.records import Array, Mask
 from manifold.core.threads import one_blas_thread
 from manifold.gp.nonnegative import nonnegative_weights
@@ -154,7 +154,7 @@ def _fit(
         cross[k] += of_prior
         size[k] += s @ of_prior
     norms = np.sqrt(np.maximum(square, np.finfo(float).tiny))
-    limit = TINY * np.sqrt(size)
+    limit = ROUNDING * np.sqrt(size)
     used, v = start > 0.0, np.zeros_like(start)
     unfinished = np.arange(len(y))
     while unfinished.size:

@@ -13,7 +13,7 @@ from manifold.analytic.free_lobes import Lobes
 from manifold.brdf.interface import BRDF, all_isotropic, require_values
 from manifold.brdf.measured import values_at
 from manifold.colour import panel
-from manifold.core.defaults import TINY
+from manifold.core.defaults import ROUNDING
 from manifold.core.errors import UsageError
 from manifold.core.mapping import Identity
 from manifold.core.pairs import Pairs
@@ -213,7 +213,7 @@ class _NumberSearch:
                 (error - e) / self._cost(each[-1]) ** power
                 for each, (_, e) in zip(tried, solved, strict=True)
             ]
-            if not gains or max(gains) < TINY:
+            if not gains or max(gains) < ROUNDING:
                 return terms, error
             best = int(np.argmax(gains))
             terms, (weights, error) = tried[best], solved[best]

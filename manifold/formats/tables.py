@@ -9,7 +9,7 @@ rearranged.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import compress
 from typing import Any
@@ -120,7 +120,7 @@ class Columns:
         angles: columns of angles, by the names of `angle_name`, in a table of directions.
         geometry: the column of geometries' names, or None in a table of directions.
         bands: columns of values.
-        name: the column of samples' names, if there is one.
+        names: columns that together name the sample, see `column_heads.name_columns`.
         gloss: columns of gloss, with its angle in degrees.
         comments: lines of the file that may name a wavelength.
         viewing: light and observer of CIELAB values, which are converted to linear sRGB; None for other values.
@@ -134,7 +134,7 @@ class Columns:
     angles: dict[str, int]
     geometry: int | None
     bands: list[int]
-    name: int | None
+    names: dict[str, int]
     gloss: dict[int, float]
     comments: tuple[str, ...] = ()
     viewing: Viewing | None = None
@@ -197,6 +197,17 @@ def resembles_header(heads: Sequence[str]) -> bool:
     )
 
 
+def name_cells(table: Table, row: int, names: Mapping[str, int], above: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the cells that name the sample of a row.
+
+    `names` are columns as `column_heads.name_columns` returns them. The cells of the row above hold up to the first
+    text of this row.
+    """
+    cells = [table.text(row, k) for k in names.values()]
+    first = next((k for k, cell in enumerate(cells) if cell), len(cells))
+    return (*above[:first], *cells[first:])
+
+
 def find_columns(table: Table, context: ErrorContext) -> tuple[Table, Columns] | None:
     """Find the first row that is a header; return the table with a column per band and its columns, or None."""
     for index, row in enumerate(table.rows[:_HEADER_ROWS]):
@@ -240,13 +251,13 @@ def _wide(table: Table, index: int, heads: list[str], geometry: int | None, cont
         and said.nm is None
         and not (said.channel and not said.quantity)
     ]
-    name = column_heads.name_column([heads[k] if k in others else "" for k in range(len(heads))])
-    keys = [k for k, angle in enumerate(angle_names(heads)) if angle or k in (geometry, name)]
+    names = _name_columns(table, index, [heads[k] if k in others else "" for k in range(len(heads))])
+    keys = [k for k, angle in enumerate(angle_names(heads)) if angle or k in (geometry, *names.values())]
     is_known = geometry is not None or (names_directions(heads) and len(keys) + 1 == len(others))
     if len(values) != 1 or values[0] in keys or not is_known:
         return table
     uncertain = [k for k, head in enumerate(heads) if head and uncertainty_head(head) is not None]
-    return _from_rows_of_bands(table, index, of_nm[0], [*values, *uncertain[:1]], keys, name, context)
+    return _from_rows_of_bands(table, index, of_nm[0], [*values, *uncertain[:1]], keys, names, context)
 
 
 def _from_spectra_down(
@@ -275,7 +286,7 @@ def _from_rows_of_bands(
     of_nm: int,
     columns: list[int],
     keys: list[int],
-    name: int | None,
+    names: Mapping[str, int],
     context: ErrorContext,
 ) -> Table:
     """Return a row per spectrum of a table with a row per value, and maybe its uncertainty, beside its wavelength."""
@@ -283,13 +294,13 @@ def _from_rows_of_bands(
     unit = column_heads.wavelength_unit(heads[of_nm]) or ""
     # Rows of the bands of spectra, by directions and sample.
     found: dict[tuple[str, ...], list[dict[str, int]]] = {}
-    sample = ""
+    sample = ("",) * len(names)
     for row in range(index + 1, len(table.rows)):
         texts = {k: table.text(row, k) for k in keys}
         if not table.text(row, columns[0]) or texts == {k: heads[k] for k in keys}:
             continue  # a footnote, or the header again
-        if name is not None:
-            sample = texts[name] = texts[name] or sample
+        sample = name_cells(table, row, names, sample)
+        texts |= dict(zip(names.values(), sample, strict=True))
         band = _band(table, row, of_nm, unit, context)
         spectra = found.setdefault(tuple(texts.values()), [{}])
         if band in spectra[-1]:
@@ -366,11 +377,11 @@ def _direction_columns(table: Table, index: int, heads: list[str], context: Erro
     if twice is not None:
         raise context.error(f"{twice} appears twice, expected each angle once", where, remedy=NEW_HEADER)
     free = [k for k, head in enumerate(heads) if k not in angles.values() and head]
-    name = column_heads.name_column([heads[k] if k in free else "" for k in range(len(heads))])
+    names = _name_columns(table, index, [heads[k] if k in free else "" for k in range(len(heads))])
     gloss = {k: a for k in free if (a := gloss_angle(heads[k])) is not None}
     uncertainties = [k for k in free if uncertainty_head(heads[k]) is not None]
     own = {head: heads.index(head) for head in (WEIGHT_HEAD, SCATTER_HEAD) if head in heads}
-    bands = [k for k in free if k not in (name, *gloss, *uncertainties, *own.values())]
+    bands = [k for k in free if k not in (*names.values(), *gloss, *uncertainties, *own.values())]
     said = [column_heads.value_head(heads[k]) for k in bands]
     unknown = [heads[k] for k, head in zip(bands, said, strict=True) if head is None]
     is_one_kind = len(bands) == 1 or all(channel(heads[k]) for k in bands) or all(h and h.nm for h in said)
@@ -387,7 +398,7 @@ def _direction_columns(table: Table, index: int, heads: list[str], context: Erro
         angles,
         None,
         bands,
-        name,
+        names,
         gloss,
         _above(table, index),
         uncertainties=uncertainties,
@@ -418,8 +429,22 @@ def _geometry_columns(
     nm = [wavelength(heads[k]) for k in bands]
     if not lab and len(set(nm)) < len(nm):
         raise context.error("two columns of the same wavelength, expected different ones", table.where(index))
-    name = column_heads.name_column(["" if k in (geometry, *bands) else head for k, head in enumerate(heads)])
-    return Columns(index, heads, {}, geometry, bands, name, gloss, _above(table, index))
+    others = ["" if k in (geometry, *bands) else head for k, head in enumerate(heads)]
+    names = _name_columns(table, index, others)
+    return Columns(index, heads, {}, geometry, bands, names, gloss, _above(table, index))
+
+
+def _name_columns(table: Table, index: int, heads: Sequence[str]) -> dict[str, int]:
+    """Return the columns that name samples; one of numbers only if it is alone or does not count the rows."""
+    names = column_heads.name_columns(heads)
+    if column_heads.NUMBER in names and len(names) > 1:
+        column = names[column_heads.NUMBER]
+        rows = [
+            k for k in range(index + 1, len(table.rows)) if sum(map(bool, map(text_of, table.rows[k]))) > 1
+        ]
+        if len({table.text(row, column) for row in rows} - {""}) == len(rows):
+            del names[column_heads.NUMBER]
+    return names
 
 
 def _geometry_column(table: Table, index: int, heads: list[str]) -> int | None:
@@ -460,15 +485,15 @@ def read_table(
 ) -> list[Readings]:
     """Read every sample below a header, in the table's order; texts that are numbers are read as numbers.
 
-    `name` is the name of the sample if the table has no column of names.
+    `name` is the name of a sample without a name in the table.
     """
     _require_nothing_above(table, columns, context)
     columns = columns.seen_under(_lights_in_columns(table, columns, context))
     notes: list[str] = []
     is_percent = column_heads.is_percent(columns.band_heads)
-    samples: dict[str, _Sample] = {}
+    samples: dict[tuple[str, ...], _Sample] = {}
     angles = {} if columns.geometry is None else resolve(_geometries(table, columns), context, notes)
-    last = name
+    named_by = ("",) * len(columns.names)
     for index in range(columns.row + 1, len(table.rows)):
         keys = [table.text(index, column) for column in columns.key]
         if keys == [columns.heads[column] for column in columns.key]:
@@ -476,8 +501,8 @@ def read_table(
         if not any(keys) or (columns.geometry is not None and keys[0] not in angles):
             _require_footnote(table, index, keys, columns, context)
             continue
-        last = (table.text(index, columns.name) if columns.name is not None else "") or last
-        sample = samples.setdefault(last, _Sample())
+        named_by = name_cells(table, index, columns.names, named_by)
+        sample = samples.setdefault(named_by, _Sample())
         sample.rows.append(index)
         sample.keys.append(keys)
         sample.values.append([_value(table, index, k, context) for k in columns.bands])
@@ -511,6 +536,9 @@ def read_table(
         notes.append(
             f"colours are read as CIELAB under {columns.viewing}{of_whom}; they do not determine spectra"
         )
+    named = column_heads.sample_names(
+        (dict(zip(columns.names, cells, strict=True)) for cells in samples), name
+    )
     white = 100.0 if is_percent else 1.0
     assumed: Assumed | None = None
     if kind is None:
@@ -520,12 +548,12 @@ def read_table(
         notes.append(assumed.note)
     return [
         replace(
-            _readings(key, instrument, table, sample, pairs[key], columns, kind, white, notes, context),
+            _readings(of_sample, instrument, table, sample, pairs[key], columns, kind, white, notes, context),
             assumed_unit=None if assumed is None else assumed.unit,
             viewing=columns.viewing or DAYLIGHT,
             is_viewing_assumed=columns.is_viewing_assumed,
         )
-        for key, sample in samples.items()
+        for of_sample, (key, sample) in zip(named, samples.items(), strict=True)
     ]
 
 
@@ -586,7 +614,9 @@ def _value(table: Table, index: int, column: int, context: ErrorContext) -> floa
     return float("nan") if not text else context.number(text, table.where(index, column))
 
 
-def _is_degrees(table: Table, columns: Columns, samples: dict[str, _Sample], context: ErrorContext) -> bool:
+def _is_degrees(
+    table: Table, columns: Columns, samples: Mapping[tuple[str, ...], _Sample], context: ErrorContext
+) -> bool:
     """Return whether angles are in degrees: as heads or cells say, or because they are too large for radians."""
     where = table.where(columns.row)
     unit = column_heads.angle_unit([columns.heads[k] for k in columns.angles.values()], context, where)
@@ -643,7 +673,11 @@ def _angle(text: str, where: str, context: ErrorContext) -> float:
 
 def _require_one_condition(table: Table, sample: _Sample, columns: Columns, context: ErrorContext) -> None:
     """Raise FileFormatError where a geometry is read under M1 and M2 (ISO 13655), which are no repeats."""
-    others = [k for k in range(len(columns.heads)) if k not in (columns.name, *columns.key, *columns.bands)]
+    others = [
+        k
+        for k in range(len(columns.heads))
+        if k not in (*columns.names.values(), *columns.key, *columns.bands)
+    ]
     first: dict[tuple[int, str], str] = {}
     for row, (geometry,) in zip(sample.rows, sample.keys, strict=True):
         for k in others:
@@ -673,7 +707,7 @@ def _geometry_pairs(
             )
         pairs.append(pair)
         first = sample.rows[sample.keys.index([text])]
-        if columns.name is None and first != row:
+        if not columns.names and first != row:
             raise context.error(
                 f"geometry '{text[:24]}' is also in {table.where(first)}; expected a column Name that "
                 "distinguishes the samples",

@@ -20,6 +20,8 @@ from manifold.colour.colour_science import colour_science
 from manifold.colour.conversion import interpolation_matrix, to_xyz, xyz_to_srgb, xyz_weights
 from manifold.colour.difference import delta_e_2000, delta_e_2000_lab, lab_under_d65, lab_values
 from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
+from manifold.core.errors import UsageError
+from manifold.core.names import counted
 from manifold.core.records import Array, Bands
 from manifold.formats.readings import DAYLIGHT, Readings, Viewing
 
@@ -47,12 +49,17 @@ def estimate_spectra(values: Array, bands: Bands) -> Array:
 def with_spectra(readings: Readings) -> Readings:
     """Return readings in three narrow bands as spectra, with a note about the expected error of their colours.
 
-    Other readings are converted by `in_daylight`.
+    Other readings are converted by `in_daylight`. Raises UsageError if no reading has all three bands.
     """
     if not is_narrow(readings.bands):
         return in_daylight(readings)
     values = np.full((len(readings), SPECTRUM.count), np.nan)
     whole = readings.measured.all(axis=1)
+    if not np.any(whole):
+        raise UsageError(
+            f"{readings.name}: no direction was measured in all of {readings.bands}, from which spectra are estimated; "
+            "read each direction in all bands"
+        )
     values[whole] = estimate_spectra(readings.values[whole], readings.bands)
     median, most = colour_errors(readings.bands)
     nm = ", ".join(f"{at:g}" for at in readings.bands.wavelengths_nm or ())
@@ -61,6 +68,8 @@ def with_spectra(readings: Readings) -> Readings:
         f"above {most:.1f} for one colour in ten; a correction of this instrument (`manifold calibrate`) has "
         "a smaller error"
     )
+    if not np.all(whole):
+        note += f"; {counted(int(np.sum(~whole)), 'reading')} without all three bands left out"
     estimated = replace(
         readings,
         wavelengths_nm=np.array(SPECTRUM.wavelengths_nm),

@@ -19,6 +19,7 @@ from manifold.colour.narrow_bands import (
 )
 from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
 from manifold.core.directions import from_spherical
+from manifold.core.errors import UsageError
 from manifold.core.records import Array, Bands
 from manifold.formats.readings import Readings
 
@@ -125,5 +126,14 @@ def test_readings_become_spectra_with_a_note_and_others_stay(rng):
     np.testing.assert_array_equal(found.measured.all(axis=1), [True, True, False, True])
     assert "465, 525, 630 nm" in found.notes[-1]
     assert "manifold calibrate" in found.notes[-1]
+    assert "1 reading without all three bands left out" in found.notes[-1]
     assert found.colour_error == colour_errors(NARROW)[0]
     assert with_spectra(found) is found
+
+
+def test_bands_read_at_other_directions_each_are_no_colours():
+    """The message was that no reading is above zero."""
+    wi, wo = from_spherical(np.full(3, 0.3), np.pi), from_spherical(np.linspace(0.0, 1.0, 3), 0.0)
+    values = np.where(np.eye(3) > 0.0, 0.1, np.nan)
+    with pytest.raises(UsageError, match="no direction was measured in all of 3 bands"):
+        with_spectra(Readings("s", "camera", wi, wo, np.array(NARROW.wavelengths_nm), values))

@@ -191,6 +191,29 @@ def test_bands_that_were_not_measured_stay_so(files, tmp_path):
     assert any("left out" in note for note in made.notes)
 
 
+def test_wavelengths_at_other_directions_each_make_a_table_but_no_brdf(tmp_path):
+    """The first gave an error on shapes after it was written, the second an internal error."""
+    path = tmp_path / "sky.csv"
+    path.write_text("Sample,SZA,VZA,RAA,Wavelength,BRF\ns,30,20,0,650,0.4\ns,30,20,90,850,0.3\n")
+    made = convert([path], tmp_path / "out.csv")
+    assert (made.nodes, made.errors.linear) == (2, pytest.approx(0.0, abs=1e-8))
+    expected = np.array([[0.4, np.nan], [np.nan, 0.3]]) / np.pi
+    np.testing.assert_allclose(registry.read(tmp_path / "out.csv").values, expected, rtol=1e-8)
+    for name in ("out.bsdf", "out.binary", "out.astm", "out.brdf"):
+        with pytest.raises(UsageError, match=r"s: no direction was measured in all bands.*; write CSV"):
+            convert([path], tmp_path / name)
+
+
+def test_directions_not_measured_in_all_bands_are_counted(tmp_path):
+    readings = half_a_goniometer(smooth(MINI_DIFF_BANDS))
+    values = readings.values.copy()
+    values[[3, 50, 80], 1] = np.nan
+    csv_table.write(tmp_path / "gap.csv", replace(readings, values=values))
+    made = convert([tmp_path / "gap.csv"], tmp_path / "out.bsdf", options=Options(16, 8))
+    assert made.nodes < len(readings)
+    assert "3 directions not measured in all bands: left out" in made.notes
+
+
 def test_a_dozen_readings_make_no_brdf(files, tmp_path):
     with pytest.raises(UsageError, match=r"12 readings.*complete them"):
         convert([files["ma-t12"]], tmp_path / "out.bsdf")

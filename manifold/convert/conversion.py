@@ -248,7 +248,7 @@ def _compared(source: ConversionSource, back: ConversionSource) -> tuple[Reading
     """
     nodes = source.nodes
     if np.any(whole := nodes.measured.all(axis=1)):
-        nodes = nodes.select_pairs(whole)
+        nodes = nodes.select_pairs(np.flatnonzero(whole))
     has_no_brdf = isinstance(back.interpolated, UsageError)
     if back.is_readings and source.is_readings and (has_no_brdf or len(back.nodes) >= len(nodes)):
         tree = cKDTree(np.hstack([back.nodes.wi, back.nodes.wo]))

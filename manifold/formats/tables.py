@@ -66,6 +66,7 @@ from manifold.formats.values import (
     is_too_bright,
     lab_to_linear_srgb,
     relative_uncertainties,
+    require_one_spectrum,
     too_bright_rows,
     weights_of,
 )
@@ -267,6 +268,9 @@ def _from_spectra_down(
     below = [row for row in range(index + 1, len(table.rows)) if any(table.text(row, k) for k in geometries)]
     unit = column_heads.wavelength_unit(text_of(table.rows[index][of_nm])) or ""
     heads = [_band(table, row, of_nm, unit, context) for row in below]
+    require_one_spectrum(
+        np.array([wavelength(head) for head in heads], dtype=float), context, table.where(index)
+    )
     spectra = [
         [table.rows[index][k], *(table.rows[row][k] if k < len(table.rows[row]) else None for row in below)]
         for k in geometries

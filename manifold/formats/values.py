@@ -77,6 +77,25 @@ def named_wavelength(comments: Iterable[str], context: ErrorContext) -> float | 
     return named.pop() if len(named) == 1 else None
 
 
+def require_one_spectrum(nm: Array, context: ErrorContext, where: str | None = None) -> None:
+    """Raise FileFormatError if wavelengths in nm (B,), in the order of a file, repeat or turn back.
+
+    Two spectra, one below the other, would become one that goes up and down.
+    """
+    steps = np.diff(nm) * np.sign(nm[-1] - nm[0])
+    if np.all(steps > 0.0):
+        return
+    k = int(np.argmax(steps <= 0.0))
+    found = (
+        f"wavelength {nm[k]:g} nm twice"
+        if nm[k] == nm[k + 1]
+        else f"wavelengths go back from {nm[k]:g} to {nm[k + 1]:g} nm"
+    )
+    raise context.error(
+        f"{found}, expected one spectrum", where, remedy="keep one spectrum, and one value per wavelength"
+    )
+
+
 def _stated(found: re.Match[str], line: str, context: ErrorContext) -> float | None:
     """Return the wavelength in nm of a statement; None if it is one of several, or a number of something else."""
     behind = _UNIT_BEHIND.match(found["rest"])

@@ -300,6 +300,14 @@ def test_spectra_may_stand_below_their_geometries(tmp_path):
     np.testing.assert_allclose(found.wo, SPECTRO.wo, atol=1e-12)
 
 
+def test_two_spectra_below_each_other_are_refused(tmp_path):
+    (tmp_path / "down.csv").write_text("nm,45as15\n400,1\n500,2\n600,3\n405,1\n505,2\n605,3\n")
+    with pytest.raises(
+        FileFormatError, match="wavelengths go back from 600 to 405 nm, expected one spectrum"
+    ):
+        registry.read_all(tmp_path / "down.csv")
+
+
 def test_a_row_per_geometry_and_wavelength_is_a_table_of_spectra(tmp_path):
     rows = [
         f"{sample},{geometry},{nm:g},{scale * value:.7f}"

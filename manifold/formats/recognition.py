@@ -48,14 +48,18 @@ def kind_of(path: Path) -> Kind:
         return Kind.FOLDER
     if is_tensor_file(path):
         return Kind.RGL
-    if begins_with(path, MODEL_MAGIC) or path.suffix in (".h5", ".hdf5"):
+    if begins_with(path, MODEL_MAGIC):
         return Kind.MODEL
-    if is_fit(path):
+    if begins_with(path, _FIT_HEAD):
         return Kind.FIT
     if is_readings(path):
         return Kind.READINGS
     if begins_with(path, *KINDS):
         return Kind.PICTURE
+    if path.suffix in (".h5", ".hdf5"):
+        return Kind.MODEL
+    if is_fit(path):
+        return Kind.FIT
     return Kind.RGL if is_rgl(path) else Kind.OTHER
 
 

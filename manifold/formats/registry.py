@@ -15,7 +15,7 @@ import numpy as np
 from manifold.core.errors import FileAccessError, FileFormatError, ManifoldError, UnknownNameError, UsageError
 from manifold.core.names import first_few, names_like, printable
 from manifold.formats.dense import DenseTable
-from manifold.formats.foreign import name_format
+from manifold.formats.foreign import MUELLER, name_format
 from manifold.formats.light_side import with_light_side_note, without_hidden
 from manifold.formats.readings import Readings
 from manifold.formats.tables import HEADERS
@@ -82,7 +82,7 @@ def unknown(path: Path) -> FileFormatError:
     """Return the error for a file of an unknown format."""
     head = _head(path)
     name = printable(path.name, 255)
-    if holds_tensors(head):
+    if holds_tensors(head) and name_format(head) != MUELLER:
         return FileFormatError(
             f"{name}: found an RGL file, a whole BRDF, expected readings or a table; read it with manifold.read_bsdf, "
             "or write it as a table with `manifold convert`"

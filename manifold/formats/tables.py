@@ -195,7 +195,26 @@ def resembles_header(heads: Sequence[str]) -> bool:
         or (any(map(column_heads.is_wavelength, heads)) and any(map(is_geometry, heads)))
         or sum(name is not None for name in angle_names(heads)) >= 2
         or sum(wavelength(head) is not None for head in heads) >= 3
+        or not_understood(heads) is not None
     )
+
+
+def not_understood(heads: Sequence[str]) -> str | None:
+    """Return the head without a meaning in a header of values and one elevation; None if cells are no such header.
+
+    It is empty if all heads have a meaning.
+
+    >>> not_understood(["AOI", "AOR", "BRDF"]), not_understood(["the", "incidence", "of", "BRDF"])
+    ('AOR', None)
+    """
+    names = angle_names(heads)
+    is_value = [
+        (said := column_heads.value_head(head)) is not None and said.quantity is not None for head in heads
+    ]
+    known = zip(heads, names, is_value, strict=True)
+    unknown = [head for head, name, is_of_value in known if name is None and not is_of_value]
+    elevations = {"theta_i", "theta_o"} & set(names)
+    return "".join(unknown) if len(elevations) == 1 and any(is_value) and len(unknown) <= 1 else None
 
 
 def name_cells(table: Table, row: int, names: Mapping[str, int], above: tuple[str, ...]) -> tuple[str, ...]:

@@ -412,10 +412,10 @@ def name_columns(heads: Sequence[str]) -> dict[str, int]:
 
 
 def sample_names(cells: Iterable[Mapping[str, str]], default: str = "") -> list[str]:
-    """Return the name of each sample, from its cells in `name_columns`.
+    """Return the name of each sample, from its cells by the keys of `name_columns`.
 
-    It is the cell of one column; where that is the same for several samples, all cells. `default` is the name of
-    samples without any.
+    It is the cell of one column; where that is the same for several samples, with the cells that tell these apart.
+    `default` is the name of samples without any.
 
     >>> sample_names([{"standard": "red", "trial": ""}, {"standard": "red", "trial": "red 1"}])
     ['red', 'red 1']
@@ -424,7 +424,14 @@ def sample_names(cells: Iterable[Mapping[str, str]], default: str = "") -> list[
     """
     cells = list(cells)
     short = [next((own[key] for key in _CALLED_BY if own.get(key)), default) for own in cells]
-    return [
-        name if short.count(name) == 1 else ": ".join(filter(None, own.values())) or name
+    alike: dict[str, list[Mapping[str, str]]] = {}
+    for name, own in zip(short, cells, strict=True):
+        alike.setdefault(name, []).append(own)
+    telling = {
+        name: {key for key in of[0] if len({own[key] for own in of}) > 1} for name, of in alike.items()
+    }
+    told = [
+        dict.fromkeys(cell for key, cell in own.items() if cell and (cell == name or key in telling[name]))
         for name, own in zip(short, cells, strict=True)
     ]
+    return [": ".join(own) or name for name, own in zip(short, told, strict=True)]

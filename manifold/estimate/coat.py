@@ -398,6 +398,11 @@ def read_colours(path: Path, gloss: GlossUnits, viewing: Viewing | None = None) 
         samples[name] = ColourSample(name, (float(lab[0]), float(lab[1]), float(lab[2])), {**gloss, **own})
     if not samples:
         raise FileFormatError(f"{path}: no colours below the header, {_EXPECTED}")
+    lightest = max(sample.lab[0] for sample in samples.values())
+    if 0.0 < lightest <= 1.0:
+        raise FileFormatError(
+            f"{path}: L* of at most {lightest:.2g}, expected 0 to 100; multiply fractions by 100"
+        )
     return list(samples.values())
 
 

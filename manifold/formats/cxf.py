@@ -62,7 +62,7 @@ def read(path: Path) -> list[Readings]:
             "or SingleAngle, or named by its geometry (45as15, 45/0)"
         )
     for one in samples:
-        if looks_like_percent(one.wi, one.wo, one.values, _MOST_REFLECTANCE):
+        if looks_like_percent(one.wi, one.wo, one.values, _MOST_REFLECTANCE, share=0.0):
             raise context.error(
                 f"object '{one.name[:40]}': reflectance of up to {np.nanmax(one.values):.4g}, expected 1.0 for the "
                 "perfect diffuser",

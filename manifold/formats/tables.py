@@ -55,6 +55,7 @@ from manifold.formats.text import (
     wavelength_nm,
 )
 from manifold.formats.values import (
+    L_PER_Y,
     TAKEN_AS_FACTORS,
     TAKEN_AS_PERCENT,
     Assumed,
@@ -65,6 +66,7 @@ from manifold.formats.values import (
     bright_bands,
     is_too_bright,
     lab_to_linear_srgb,
+    linear_srgb_to_xyz,
     relative_uncertainties,
     require_one_spectrum,
     too_bright_rows,
@@ -559,6 +561,12 @@ def read_table(
         notes.append(
             f"colours are read as CIELAB under {columns.viewing}{of_whom}; they do not determine spectra"
         )
+        rgb = np.concatenate([np.array(sample.values) for sample in samples.values()])
+        lightness = L_PER_Y * float(np.nanmax(linear_srgb_to_xyz(rgb)[:, 1], initial=0.0))
+        if lightness <= 1.0:
+            notes.append(
+                Assumption(f"L* is at most {lightness:.2g}, so black: multiply by 100 if it is a fraction")
+            )
     named = column_heads.sample_names(
         (dict(zip(columns.names, cells, strict=True)) for cells in samples), name
     )
@@ -566,9 +574,12 @@ def read_table(
     assumed: Assumed | None = None
     if kind is None:
         raw = [(wi, wo, np.array(samples[key].values)[keep]) for key, (keep, wi, wo, _) in pairs.items()]
-        assumed = assumed_unit(raw) if columns.geometry is None else assumed_factors(raw)
+        assumed = (assumed_unit if columns.geometry is None else assumed_factors)(raw, context)
         kind, white = assumed.quantity, assumed.white
         notes.append(assumed.note)
+        is_rgb = all(map(channel, columns.band_heads))
+        if is_rgb and assumed.unit == "percent" and all(np.all(values % 1.0 == 0.0) for _, _, values in raw):
+            notes.append(Assumption("whole numbers: if they are codes of a picture, make them linear first"))
     return [
         replace(
             _readings(of_sample, instrument, table, sample, pairs[key], columns, kind, white, notes, context),

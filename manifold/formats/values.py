@@ -187,7 +187,7 @@ def _no_unit(raw: Sequence[tuple[Array, Array, Array]], context: ErrorContext) -
     return context.error(
         f"values of up to {most:.5g}, which even as per cent would reflect more light than they receive, expected a "
         "BRDF in 1/sr, or reflectance factors",
-        remedy="divide them by the value of a perfect diffuser; make codes of pictures linear first",
+        remedy="name their quantity, or divide by the value of a perfect diffuser; make codes of pictures linear first",
     )
 
 

@@ -86,7 +86,7 @@ def test_codes_of_pictures_are_refused_or_noted(read):
     """They were percent."""
     codes = np.tile([202.0, 148.0, 90.0], (len(PAIRS), 1))
     with pytest.raises(
-        FileFormatError, match=r"values of up to 202, .*; .* make codes of pictures linear first"
+        FileFormatError, match=r"values of up to 202, .*; .*make codes of pictures linear first"
     ):
         read(directions(codes, "R,G,B"))
     dark = read(directions(np.round(0.3 * codes), "R,G,B"))

@@ -130,7 +130,7 @@ def angle_name(head: str) -> str | None:
 
 
 def _letters(head: str) -> str:
-    if len(head) > _LONGEST:
+    if len(head) > _LONGEST or head.strip().lower() == "the":  # a word of prose, not `th_e`
         return ""
     text = _RADIANS.sub("", _DEGREES.sub("", _BRACKETS.sub("", head.lower().translate(_GREEK))))
     return re.sub(r"[^a-z]", "", text)

@@ -161,6 +161,7 @@ def test_what_is_wrong_is_named(contents, name, old, new, words, tmp_path):
         (b"REFLET\nPhi measure step : 10\nTheta Lighting : 0\n-90\t0.01\n", "REFLET measurement"),
         (b"H|\\^&|||Host^1\nP|1\nO|1|123\n", "clinical analyser"),
         (b"just words\n" * 9, "text file"),
+        (b"in the Software without restriction, including without limitation the rights\n", "a text file"),
         (b"Ask for the Zemax file; LightTools and REFLET, too.\nThe ScatterType is a BRDF.\n", "a text file"),
         (b"notes on <html> pages and <?xml files\n", "a text file"),
         (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(600), "not a readable .xls workbook"),

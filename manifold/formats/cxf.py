@@ -283,7 +283,7 @@ def _wavelengths(
     shared = measurement.find("{*}WavelengthRange")
     said = {**(shared.attrib if shared is not None else {}), **spectrum.attrib}
     first_nm = context.number(said.get("StartWL", "0"), where)
-    step = said.get("Increment") or spectrum.get("Interval")
+    step = spectrum.get("Increment") or spectrum.get("Interval") or said.get("Increment")
     last_nm = context.number(said["EndWL"], where) if said.get("EndWL") else None
     step_nm = _USUAL_STEP_NM if step is None else context.number(step, where)
     if step is None and last_nm is not None and count > 1:

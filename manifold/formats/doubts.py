@@ -17,9 +17,7 @@ from manifold.formats.values import is_diffuse, is_too_bright
 _MANY_NEGATIVE = 0.3  # of the values
 _LARGE_NEGATIVE = 0.1  # of the sum of sizes, away from the mirror direction
 _NEAR_MIRROR = np.cos(np.deg2rad(10.0))
-_DARK = (
-    0.5  # of 20 real materials, the darkest is 1.08 times as bright near the mirror direction as elsewhere
-)
+_DARK = 0.5  # of the brightness elsewhere, near the mirror direction: at least 1.08 for 20 real materials
 _RADIANS = np.deg2rad(0.5 * np.pi + 0.03)  # a right angle in radians, read as degrees, and its rounding
 
 
@@ -63,8 +61,8 @@ def _on_negative(values: Array, large: float) -> list[str]:
         return []
     return [
         Assumption(
-            f"{percent(share)} of the values are negative, more than noise explains, and count as 0: are they "
-            "densities (logarithms), or was a baseline subtracted?"
+            f"{percent(share)} of the values are negative, more than noise explains: are they densities "
+            "(logarithms), or was a baseline subtracted?"
         )
     ]
 

@@ -126,15 +126,19 @@ def _table(lines: list[str], wanted: Wanted, context: ErrorContext) -> _Columns:
         values = [number(cell) for cell in cells]
         if len(cells) != width or width < 2 or None in values[:2]:
             raise context.error(
-                f"line {k} is '{line.strip()[:40]}', expected a wavelength in nm and a {wanted}",
+                f"line {k} is '{line[:40]}', expected a wavelength in nm and a {wanted}",
                 remedy=CORRECT_CELL,
             )
         rows.append([np.nan if value is None else value for value in values])
     above = [line for line in lines[: data[start][0] - 1] if line.strip()]
-    heads = _units_above(above, width) or _named_above(above, width)
+    heads = _units_above(above, width)
     if above and not heads:
         is_comment = above[-1].lstrip().startswith("#")
         heads = _cells(above[-1].lstrip("# "), separator)
+        if all(wavelength_unit(head) is None for head in heads) and (
+            named := _named_above(above[:-1], width)
+        ):
+            return _Columns(named, np.array(rows), above)
         is_header = len(heads) == width and (
             not is_comment or any(wavelength_unit(head) is not None for head in heads)
         )

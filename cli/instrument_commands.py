@@ -87,13 +87,15 @@ def convert(
     """
     from manifold.convert import conversion
     from manifold.convert.targets import Options
-    from manifold.formats.recognition import is_readings, is_rgl
+    from manifold.formats.recognition import counts_as_readings, is_rgl
 
     results = terminal.Results(json)
     sources = options.several_materials(inputs, model, library)
     found = None
     if sample is None and not merge and (not output.suffix or is_many(sources, output)):
-        found = inputs_of(sources, output, lambda path: is_rgl(path) or is_readings(path), samples=True)
+        found = inputs_of(
+            sources, output, lambda path: is_rgl(path) or counts_as_readings(path), samples=True
+        )
     if found is not None:
         if unit is not None:
             raise UsageError(f"--unit {unit} goes with one file, found several, or a folder; leave it out")

@@ -18,6 +18,7 @@ import numpy as np
 from manifold.core.errors import FileFormatError, UsageError
 from manifold.core.names import printable
 from manifold.core.records import AnyArray, BsdfFile, Mask
+from manifold.formats.foreign import MUELLER, MUELLER_FIELDS
 from manifold.formats.tensor_file import is_tensor_file, read_tensors, shape_text, write_tensors
 from manifold.formats.text import ErrorContext
 
@@ -185,6 +186,11 @@ def _check(tensors: Mapping[str, AnyArray], context: ErrorContext) -> None:
 
 def _check_layout(tensors: Mapping[str, AnyArray], context: ErrorContext) -> None:
     """Check that every field is present and has the right dtype and shape."""
+    if set(MUELLER_FIELDS) <= set(tensors):
+        raise context.error(
+            f"found {MUELLER}, expected an RGL file",
+            remedy="render it with Mitsuba's plugin measured_polarized, or write its elements M[..., 0, 0] as a table",
+        )
     spectral = "spectra" in tensors
     if spectral == ("rgb" in tensors):
         raise context.error(

@@ -1,9 +1,9 @@
-"""Spectra estimated from three narrow bands, blue, green and red, as camera-like instruments measure them.
+"""Spectra estimated from few bands: narrow blue, green and red ones, as of camera-like instruments, or coarse ones.
 
-Such bands are neither linear sRGB nor a spectrum that could be interpolated. A linear map, learned from measured
-reflectances, predicts the rest of the spectrum. It maps the deviations of the bands from a flat spectrum to the
-deviations of the spectrum, in cube roots and relative to the mean of the three bands. The estimate is proportional
-to the measured values, and a neutral colour stays neutral.
+Three narrow bands are neither linear sRGB nor a spectrum that could be interpolated, and interpolated spectra of coarse
+bands have other colours. A linear map, learned from measured reflectances, predicts the rest of the spectrum. It maps
+the deviations of the bands from a flat spectrum to the deviations of the spectrum, in cube roots and relative to the
+mean of the bands. The estimate is proportional to the measured values, and a neutral colour stays neutral.
 
 Source: Wiener estimation; Haneishi et al. 2000, "System design for accurately estimating the spectral reflectance of
 art paintings".
@@ -20,12 +20,18 @@ from manifold.colour.colour_science import colour_science
 from manifold.colour.conversion import interpolation_matrix, to_xyz, xyz_to_srgb, xyz_weights
 from manifold.colour.difference import delta_e_2000, delta_e_2000_lab, lab_under_d65, lab_values
 from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
-from manifold.core.records import Array, Bands
+from manifold.core.errors import UsageError
+from manifold.core.names import counted
+from manifold.core.records import Array, Bands, Mask
 from manifold.formats.readings import DAYLIGHT, Readings, Viewing
 
 SPECTRUM = Bands(tuple(np.arange(400.0, 701.0, 10.0).tolist()))
 """The bands of estimated spectra."""
 _RANGES_NM = ((400.0, 500.0), (480.0, 580.0), (580.0, 700.0))
+_RANGE_NM = (380.0, 730.0)  # of bands that tell of spectra from 400 to 700 nm
+_VISIBLE_ERROR = 1.0  # CIEDE2000, which an observer just notices
+# Gap, first and last band in nm up to which interpolation stays below that: 0.9 for one colour in ten.
+_DENSE_NM, _FIRST_NM, _LAST_NM = 25.0, 420.0, 680.0
 _NOISE = 0.02  # standard deviation of the noise of cube roots, relative to their mean
 
 
@@ -39,36 +45,69 @@ def is_narrow(bands: Bands) -> bool:
     )
 
 
+def is_coarse(bands: Bands) -> bool:
+    """Return whether there are four or more visible bands whose interpolation changes one colour in ten visibly."""
+    nm = np.array(bands.wavelengths_nm or ())[_visible(bands)]
+    if len(nm) <= len(_RANGES_NM):
+        return False
+    is_dense = np.diff(nm).max() <= _DENSE_NM and nm[0] <= _FIRST_NM and nm[-1] >= _LAST_NM
+    return not is_dense and interpolation_errors(bands)[1] > _VISIBLE_ERROR
+
+
+def _visible(bands: Bands) -> Mask:
+    """Return a mask of the bands (B,) from which spectra are estimated."""
+    nm = np.array(bands.wavelengths_nm or ())
+    return np.asarray((nm >= _RANGE_NM[0]) & (nm <= _RANGE_NM[1]))
+
+
 def estimate_spectra(values: Array, bands: Bands) -> Array:
-    """Estimate values in `SPECTRUM`, shape (..., 31), never negative, from three narrow bands, shape (..., 3)."""
-    return _estimated(np.asarray(values, dtype=np.float64), _matrix(bands))
+    """Estimate values in `SPECTRUM`, shape (..., 31), never negative, from narrow or coarse bands, shape (..., B)."""
+    return _estimated(np.asarray(values, dtype=np.float64)[..., _visible(bands)], _matrix(bands))
 
 
 def with_spectra(readings: Readings) -> Readings:
-    """Return readings in three narrow bands as spectra, with a note about the expected error of their colours.
+    """Return readings in three narrow bands as spectra, see `as_spectra`; others are converted by `in_daylight`."""
+    return as_spectra(readings) if is_narrow(readings.bands) else in_daylight(readings)
 
-    Other readings are converted by `in_daylight`.
+
+def as_spectra(readings: Readings) -> Readings:
+    """Return readings in narrow or coarse bands as spectra, with a note about the expected error of their colours.
+
+    Raises UsageError if no reading has all bands.
     """
-    if not is_narrow(readings.bands):
-        return in_daylight(readings)
     values = np.full((len(readings), SPECTRUM.count), np.nan)
-    whole = readings.measured.all(axis=1)
+    visible = _visible(readings.bands)
+    whole = readings.measured[:, visible].all(axis=1)
+    if not np.any(whole):
+        raise UsageError(
+            f"{readings.name}: no direction was measured in all of {readings.bands}, from which spectra are estimated; "
+            "read each direction in all bands"
+        )
     values[whole] = estimate_spectra(readings.values[whole], readings.bands)
-    median, most = colour_errors(readings.bands)
-    nm = ", ".join(f"{at:g}" for at in readings.bands.wavelengths_nm or ())
-    note = (
-        f"spectra are estimated from three bands at {nm} nm: expected colour error {median:.1f} CIEDE2000 (D65/2), "
-        f"above {most:.1f} for one colour in ten; a correction of this instrument (`manifold calibrate`) has "
-        "a smaller error"
-    )
+    errors = colour_errors(readings.bands)
+    nm = ", ".join(f"{at:g}" for at in np.array(readings.bands.wavelengths_nm)[visible])
+    note = f"spectra are estimated from {visible.sum()} bands at {nm} nm: {_error_in_words(errors)}"
+    if is_narrow(readings.bands):
+        note += "; a correction of this instrument (`manifold calibrate`) has a smaller error"
+    if not np.all(whole):
+        note += f"; {counted(int(np.sum(~whole)), 'reading')} without all bands left out"
     estimated = replace(
         readings,
         wavelengths_nm=np.array(SPECTRUM.wavelengths_nm),
         values=values,
-        colour_error=median,
-        estimated_from=readings.bands.count,
+        colour_error=errors[0],
+        estimated_from=int(visible.sum()),
     )
     return estimated.with_note(note)
+
+
+def interpolation_note(bands: Bands) -> str:
+    """Return a note on the error of colours that are interpolated between coarse bands."""
+    return f"colours are interpolated between {bands}: {_error_in_words(interpolation_errors(bands))}"
+
+
+def _error_in_words(errors: tuple[float, float]) -> str:
+    return f"expected colour error {errors[0]:.1f} CIEDE2000 (D65/2), above {errors[1]:.1f} for one colour in ten"
 
 
 def in_daylight(readings: Readings) -> Readings:
@@ -86,8 +125,8 @@ def in_daylight(readings: Readings) -> Readings:
     values[seen] = xyz_to_srgb(xyz) / np.pi
     median, most = conversion_errors(readings.viewing)
     note = (
-        f"colours under {readings.viewing} are converted to D65/2 assuming smooth spectra: expected colour error "
-        f"{median:.1f} CIEDE2000 (D65/2), above {most:.1f} for one colour in ten"
+        f"colours under {readings.viewing} are converted to D65/2 assuming smooth spectra: "
+        f"{_error_in_words((median, most))}"
     )
     converted = replace(
         readings,
@@ -115,13 +154,25 @@ def colour_errors(bands: Bands) -> tuple[float, float]:
     Reflectances of the same name, such as one patch of several ColorCheckers, are left out together.
     """
     names, spectra = _reflectances()
-    read = _at(spectra, bands)
+    read = _read(spectra, bands)
     estimates = np.empty_like(spectra)
     for name in set(names):
         own = np.array([other == name for other in names])
         estimates[own] = _estimated(read[own], _learned(spectra[~own], read[~own]))
+    return _errors(to_xyz(estimates, SPECTRUM), spectra)
+
+
+@lru_cache(maxsize=8)
+def interpolation_errors(bands: Bands) -> tuple[float, float]:
+    """Return median and 90th percentile of CIEDE2000 (D65) of measured reflectances interpolated between bands."""
+    spectra = _reflectances()[1]
+    return _errors(to_xyz(_at(spectra, np.array(bands.wavelengths_nm)), bands), spectra)
+
+
+def _errors(xyz: Array, spectra: Array) -> tuple[float, float]:
+    """Return median and 90th percentile of CIEDE2000 of colours (n, 3) from those of spectra (n, 31)."""
     white = to_xyz(np.ones(SPECTRUM.count), SPECTRUM)
-    errors = delta_e_2000(to_xyz(estimates, SPECTRUM), to_xyz(spectra, SPECTRUM), white)
+    errors = delta_e_2000(xyz, to_xyz(spectra, SPECTRUM), white)
     return float(np.median(errors)), float(np.percentile(errors, 90))
 
 
@@ -134,13 +185,18 @@ def _estimated(values: Array, matrix: Array) -> Array:
 @lru_cache(maxsize=8)
 def _matrix(bands: Bands) -> Array:
     spectra = _reflectances()[1]
-    return _learned(spectra, _at(spectra, bands))
+    return _learned(spectra, _read(spectra, bands))
+
+
+def _read(spectra: Array, bands: Bands) -> Array:
+    """Return spectra (n, 31) at the visible bands."""
+    return _at(spectra, np.array(bands.wavelengths_nm)[_visible(bands)])
 
 
 def _learned(spectra: Array, read: Array) -> Array:
-    """Return the matrix (3, 31) that maps deviations of three bands to deviations of spectra.
+    """Return the matrix (B, 31) that maps deviations of bands to deviations of spectra.
 
-    The n examples have spectra (n, 31) and readings (n, 3).
+    The n examples have spectra (n, 31) and readings (n, B).
     """
     roots = np.cbrt(read)
     level = roots.mean(axis=1, keepdims=True)
@@ -149,8 +205,8 @@ def _learned(spectra: Array, read: Array) -> Array:
     return np.asarray(np.linalg.solve(covariance, of_bands.T @ of_spectra / len(read)))
 
 
-def _at(spectra: Array, bands: Bands) -> Array:
-    return spectra @ interpolation_matrix(np.array(SPECTRUM.wavelengths_nm), np.array(bands.wavelengths_nm)).T
+def _at(spectra: Array, nm: Array) -> Array:
+    return spectra @ interpolation_matrix(np.array(SPECTRUM.wavelengths_nm), nm).T
 
 
 @lru_cache(maxsize=1)

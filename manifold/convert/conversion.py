@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -27,7 +27,7 @@ from manifold.core import disk
 from manifold.core.directions import NEAR_MIRROR_DEG, is_near_mirror
 from manifold.core.errors import UsageError
 from manifold.core.metrics import Errors
-from manifold.core.names import percent
+from manifold.core.names import counted, percent
 from manifold.core.pairs import cosine_weight
 from manifold.core.records import Array, Bands, BsdfFile
 from manifold.core.results import Result, derived, entry
@@ -225,31 +225,37 @@ def _reasons(compared: Readings, f_star: Array) -> list[str]:
 
 
 def _gaps(source: ConversionSource) -> list[str]:
-    """Return notes on readings that are too sparse for an accurate interpolation."""
+    """Return notes on readings that are left out, or too sparse for an accurate interpolation."""
+    partial = int(np.sum(~source.nodes.measured.all(axis=1)))
+    notes = [f"{counted(partial, 'direction')} not measured in all bands: left out"] if partial else []
     theta = np.rad2deg(source.theta_i_rad)
     if theta.size == 1:
-        return [
+        notes.append(
             f"measured at an incidence of {theta[0]:.4g} degrees only: all others are extrapolated from it"
-        ]
-    if len(source.nodes) < _FEW * theta.size:
-        return [
+        )
+    elif len(source.nodes) < _FEW * theta.size:
+        notes.append(
             f"{len(source.nodes)} readings were interpolated; `manifold complete` also uses a library of materials"
-        ]
-    return []
+        )
+    return notes
 
 
 def _compared(source: ConversionSource, back: ConversionSource) -> tuple[Readings, Array]:
     """Return the nodes of a source, and the values (P, B) of the written file at them, in 1/sr.
 
-    Readings are compared with readings, row by row; otherwise the result is evaluated at the nodes.
+    Readings are compared with readings, row by row, where both were measured; otherwise the result is evaluated at the
+    nodes.
     """
-    nodes = source.nodes.select_pairs(np.flatnonzero(source.nodes.measured.all(axis=1)))
+    nodes = source.nodes
+    if np.any(whole := nodes.measured.all(axis=1)):
+        nodes = nodes.select_pairs(np.flatnonzero(whole))
     has_no_brdf = isinstance(back.interpolated, UsageError)
     if back.is_readings and source.is_readings and (has_no_brdf or len(back.nodes) >= len(nodes)):
         tree = cKDTree(np.hstack([back.nodes.wi, back.nodes.wo]))
         distance, row = tree.query(np.hstack([nodes.wi, nodes.wo]))
         if np.all(distance < _SAME_PAIR):
-            return nodes, back.nodes.values[row]
+            f, f_star = (np.nan_to_num(values) for values in (nodes.values, back.nodes.values[row]))
+            return replace(nodes, values=f), f_star
     is_high = np.minimum(nodes.wi[:, 2], nodes.wo[:, 2]) > LEAST_COSINE
     if isinstance(back.brdf, MeasuredBRDF) and np.any(is_high):
         nodes = nodes.select_pairs(np.flatnonzero(is_high))

@@ -14,7 +14,14 @@ from manifold.brdf.unmeasured_cells import LEAST_COSINE, cells_of, fill_unmeasur
 from manifold.brdf.wrapper import WrappedBRDF
 from manifold.colour.conversion import file_to_srgb, luminance, to_srgb
 from manifold.colour.correction import ColourCorrection
-from manifold.colour.narrow_bands import SPECTRUM, estimate_spectra, in_daylight, is_narrow, with_spectra
+from manifold.colour.narrow_bands import (
+    SPECTRUM,
+    as_spectra,
+    estimate_spectra,
+    in_daylight,
+    is_coarse,
+    is_narrow,
+)
 from manifold.convert.tabulated import DenseBRDF, ReadingsBRDF
 from manifold.core.errors import UsageError
 from manifold.core.names import first_few
@@ -97,10 +104,10 @@ class LuminanceBRDF(WrappedBRDF):
 
 
 class EstimatedSpectraBRDF(WrappedBRDF):
-    """A BRDF in three narrow bands converted to estimated spectra (see `colour.narrow_bands`)."""
+    """A BRDF in narrow or coarse bands converted to estimated spectra (see `colour.narrow_bands`)."""
 
     def __init__(self, brdf: BRDF) -> None:
-        """Wrap a BRDF in three narrow bands."""
+        """Wrap a BRDF in narrow or coarse bands."""
         super().__init__(brdf)
         self.bands = SPECTRUM
 
@@ -146,6 +153,8 @@ def open_source(
     if correction is not None and not isinstance(record, Readings):
         raise UsageError(f"{paths[0]}: a table of a BRDF, expected an instrument's readings to correct")
     if isinstance(record, BsdfFile):
+        if rgb and is_coarse(record.bands):
+            return replace(_in_srgb(_of_rgl(record)), file=file_to_srgb(record))
         return _of_rgl(file_to_srgb(record) if rgb else record)
     if isinstance(record, DenseTable):
         theta_i = record.axes[0] if record.coordinates == "incident-outgoing" else np.zeros(0)
@@ -180,17 +189,21 @@ def in_luminance(source: ConversionSource) -> ConversionSource:
 
 def with_estimated_spectra(source: ConversionSource) -> ConversionSource:
     """Return a source in three narrow bands converted to spectra, with a note; other sources are returned unchanged."""
-    if not is_narrow(source.nodes.bands):
-        return source
+    return _estimated(source) if is_narrow(source.nodes.bands) else source
+
+
+def _estimated(source: ConversionSource) -> ConversionSource:
     brdf = source.interpolated
     estimated = brdf if isinstance(brdf, UsageError) else EstimatedSpectraBRDF(brdf)
-    return replace(source, nodes=with_spectra(source.nodes), interpolated=estimated)
+    return replace(source, nodes=as_spectra(source.nodes), interpolated=estimated)
 
 
 def _in_srgb(source: ConversionSource) -> ConversionSource:
-    if source.nodes.bands.is_rgb:
+    bands = source.nodes.bands
+    if bands.is_rgb:
         return source
-    source = with_estimated_spectra(source)
+    if is_narrow(bands) or is_coarse(bands):
+        source = _estimated(source)
     values = to_srgb(source.nodes.values, source.nodes.bands)
     nodes = replace(source.nodes, wavelengths_nm=None, values=values, viewing=DAYLIGHT)
     brdf = source.interpolated

@@ -109,7 +109,11 @@ class ReadingsBRDF(TabulatedBRDF):
 
     def __init__(self, readings: Readings) -> None:
         """Group the readings by incidence."""
-        finite = np.isfinite(readings.values).all(axis=1)
+        finite = readings.measured.all(axis=1)
+        if not np.any(finite):
+            raise UsageError(
+                f"{readings.name}: no direction was measured in all bands, which a BRDF needs; write CSV"
+            )
         wi, wo, values = readings.wi[finite], readings.wo[finite], readings.values[finite]
         theta, phi = to_spherical(wi)
         phi = np.where(theta < 1e-6, 0.0, phi)

@@ -373,7 +373,7 @@ def read_colours(path: Path, gloss: GlossUnits, viewing: Viewing | None = None) 
     width = 4 if head is None else len(head)
     comments = [line for line in lines if line.lstrip().startswith("#")]
     axes, seen = _lab_of_header(path, head, column_heads.viewing_of_lines(comments), viewing)
-    of_name = 0 if head is None else column_heads.name_column(head)
+    names = {"sample": 0} if head is None else column_heads.name_columns(head)
     samples: dict[str, ColourSample] = {}
     for n, given in rows:
         cells = with_whole_name(given, width)
@@ -381,7 +381,8 @@ def read_colours(path: Path, gloss: GlossUnits, viewing: Viewing | None = None) 
             cells = ["", *cells]
         if len(cells) != width or (head is None and number(cells[0]) is not None):
             raise FileFormatError(f"{path}, line {n}: found '{' '.join(given)[:40]}', {_EXPECTED}")
-        name = safe_name((cells[of_name] if of_name is not None else "") or f"colour_{n}")
+        (called,) = column_heads.sample_names([{what: cells[k] for what, k in names.items()}], f"colour_{n}")
+        name = safe_name(called)
         if name in samples:
             raise FileFormatError(f"{path}, line {n}: the name '{name}' occurs twice, expected each once")
         own = {
@@ -397,6 +398,11 @@ def read_colours(path: Path, gloss: GlossUnits, viewing: Viewing | None = None) 
         samples[name] = ColourSample(name, (float(lab[0]), float(lab[1]), float(lab[2])), {**gloss, **own})
     if not samples:
         raise FileFormatError(f"{path}: no colours below the header, {_EXPECTED}")
+    lightest = max(sample.lab[0] for sample in samples.values())
+    if 0.0 < lightest <= 1.0:
+        raise FileFormatError(
+            f"{path}: L* of at most {lightest:.2g}, expected 0 to 100; multiply fractions by 100"
+        )
     return list(samples.values())
 
 

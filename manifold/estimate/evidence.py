@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from manifold.colour.conversion import luminance
-from manifold.colour.narrow_bands import with_spectra
+from manifold.colour.narrow_bands import interpolation_note, is_coarse, with_spectra
 from manifold.core.errors import BandMismatchError, UsageError
 from manifold.core.names import counted
 from manifold.core.pairs import cosine_weight
@@ -240,6 +240,8 @@ def for_library(readings: Readings, bands: Bands) -> Readings:
             f"{readings.name}: {readings.bands}, expected blue, green and red, or a spectrum, for an RGB library; "
             "complete them with a spectral one (manifold fetch && manifold import rgl)"
         )
+    if bands.is_rgb and is_coarse(readings.bands):
+        return readings.with_note(interpolation_note(readings.bands))
     return readings
 
 

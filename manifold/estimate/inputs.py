@@ -22,7 +22,7 @@ from manifold.core.errors import FileFormatError, ManifoldError, UsageError
 from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource, PlaceSource
 from manifold.formats import registry
 from manifold.formats.readings import Readings
-from manifold.formats.recognition import is_library, is_readings, is_rendered, is_rgl
+from manifold.formats.recognition import counts_as_readings, is_library, is_rendered, is_rgl
 from manifold.formats.text import decode, number
 from manifold.io_rgl import material_name
 from manifold.library.identity import alike, file_sha256, require_material_name
@@ -69,12 +69,12 @@ def find_samples(sources: Iterable[Path]) -> list[Sample]:
     """
     groups: dict[str, list[_Part]] = {}
     given = [path for source in sources for path in matching(str(source))]
-    paths = find_files(given, is_readings, "readings file")
+    paths = find_files(given, counts_as_readings, "readings file")
     for path in progress.each(paths, str):
         try:
             records = registry.read_all(path)
         except ManifoldError:  # raised again where it is completed
-            groups[str(path)] = [_Part(path, None, path.stem, "", 0, None)]
+            groups[str(path)] = [_Part(path, None, path.name, "", 0, None)]
             continue
         for record in records:
             sample = record.name if len(records) > 1 else None
@@ -222,8 +222,8 @@ def _of_file(path: Path) -> Input:
 def _samples_of(path: Path) -> list[Input]:
     try:
         names = [record.name for record in registry.read_all(path)]
-    except ManifoldError:  # raised again where its values are read
-        names = []
+    except ManifoldError:  # raised again where its values are read; its name is no other file's
+        return [Input(safe_name(path.name), FileSource(path))]
     several = [Input(safe_name(name), FileSource(path), name) for name in names]
     return several if len(several) > 1 else [_of_file(path)]
 

@@ -29,7 +29,7 @@ from manifold.core.results import Result, derived, entry
 from manifold.estimate.inputs import Sample
 from manifold.formats import registry
 from manifold.formats.readings import NO_GLOSS, Between, GlossUnits, Readings
-from manifold.formats.recognition import is_readings
+from manifold.formats.recognition import counts_as_readings
 from manifold.library.identity import alike
 from manifold.library.importing import find_files
 
@@ -417,7 +417,7 @@ class _Held(NamedTuple):
 def _samples_in(path: Path) -> dict[str, list[_Held]]:
     """Return readings in a file, or in the files of a folder, by the names of their samples."""
     held: dict[str, list[_Held]] = {}
-    files = find_files([path], is_readings, "readings file") if path.is_dir() else [path]
+    files = find_files([path], counts_as_readings, "readings file") if path.is_dir() else [path]
     for file in progress.each(files, str):
         for record in registry.read_all(file):
             readings = registry.as_readings(record, _MOST_READINGS)

@@ -223,7 +223,7 @@ def _readings(
     keep, wi, wo = directions(angle, context, notes)
     first = [k for k, head in enumerate(columns.names) if head in columns.bands]
     raw, kind, white = table[keep][:, first], columns.kind, columns.white
-    assumed = None if kind is not None else assumed_unit([(wi, wo, raw)])
+    assumed = None if kind is not None else assumed_unit([(wi, wo, raw)], context)
     if assumed is not None:
         kind, white = assumed.quantity, assumed.white
         if assumed.note != TAKEN_AS_BRDF:  # which the standard means

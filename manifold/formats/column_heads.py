@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple
 
 from manifold.formats import quantities
@@ -15,6 +15,8 @@ RELATIVE = "phi_o - phi_i"
 """Name of `angle_name` for a difference of azimuths."""
 PHASE = "phase"
 """Name of the angle between the directions to the light and to the viewer."""
+NUMBER = "number"
+"""Key of `name_columns` for a column of numbers of samples, which may also count rows."""
 
 _LONGEST = 80  # letters; longer cells are no heads
 _LIGHT = r"(i|in|inc|incident|incidence|incoming|light|lighting|illumination|source|sun|solar)"
@@ -74,10 +76,18 @@ _WAVELENGTH_WORDS = {
 }
 _WAVENUMBER_WORDS = {"wavenumber", "wavenumbers", "wellenzahl"}
 _CHANNELS = {"red": "r", "green": "g", "blue": "b"} | {letter: letter for letter in "rgbxyz"}
-_NAMES = (
-    "sample name", "sample", "name", "data name", "measurement name", "sample id", "sample no", "trial name", "trial",
-    "batch name", "batch", "standard name", "standard", "material name", "material", "color name", "colour name", "id",
-)  # fmt: skip  # the best first
+# Heads by what they name, from the general to the special; the usual spelling first.
+_NAMES = {
+    "material": ("material name", "material"),
+    "colour": ("color name", "colour name"),
+    "standard": ("standard name", "standard"),
+    "sample": ("sample name", "sample", "name", "data name", "measurement name"),
+    "batch": ("batch name", "batch"),
+    "trial": ("trial name", "trial"),
+    NUMBER: ("sample id", "sample no", "id"),
+    "type": ("type",),
+}
+_CALLED_BY = ("sample", "trial", "batch", NUMBER, "standard", "material", "colour", "type")
 _GLOSS_WORDS = {"gloss", "glanz", "gu", "deg", "degree", "degrees", "unit", "units", "value"}
 _USUAL_GLOSS_DEG = 60.0
 
@@ -120,7 +130,7 @@ def angle_name(head: str) -> str | None:
 
 
 def _letters(head: str) -> str:
-    if len(head) > _LONGEST:
+    if len(head) > _LONGEST or head.strip().lower() == "the":  # a word of prose, not `th_e`
         return ""
     text = _RADIANS.sub("", _DEGREES.sub("", _BRACKETS.sub("", head.lower().translate(_GREEK))))
     return re.sub(r"[^a-z]", "", text)
@@ -387,7 +397,41 @@ def plain_head(head: str) -> str:
     )
 
 
-def name_column(heads: Sequence[str]) -> int | None:
-    """Return the index of the column that holds the names of samples, or None."""
+def name_columns(heads: Sequence[str]) -> dict[str, int]:
+    """Return the columns that together name a sample, by what they name, from the general to the special.
+
+    >>> name_columns(["Trial Name", "Standard Name", "400"])
+    {'standard': 1, 'trial': 0}
+    """
     words = [plain_head(head) for head in heads]
-    return next((words.index(name) for name in _NAMES if name in words), None)
+    found = {
+        what: next((words.index(name) for name in names if name in words), -1)
+        for what, names in _NAMES.items()
+    }
+    return {what: k for what, k in found.items() if k >= 0}
+
+
+def sample_names(cells: Iterable[Mapping[str, str]], default: str = "") -> list[str]:
+    """Return the name of each sample, from its cells by the keys of `name_columns`.
+
+    It is the cell of one column; where that is the same for several samples, with the cells that tell these apart.
+    `default` is the name of samples without any.
+
+    >>> sample_names([{"standard": "red", "trial": ""}, {"standard": "red", "trial": "red 1"}])
+    ['red', 'red 1']
+    >>> sample_names([{"sample": "red", "type": "Standard"}, {"sample": "red", "type": "Batch"}])
+    ['red: Standard', 'red: Batch']
+    """
+    cells = list(cells)
+    short = [next((own[key] for key in _CALLED_BY if own.get(key)), default) for own in cells]
+    alike: dict[str, list[Mapping[str, str]]] = {}
+    for name, own in zip(short, cells, strict=True):
+        alike.setdefault(name, []).append(own)
+    telling = {
+        name: {key for key in of[0] if len({own[key] for own in of}) > 1} for name, of in alike.items()
+    }
+    told = [
+        dict.fromkeys(cell for key, cell in own.items() if cell and (cell == name or key in telling[name]))
+        for name, own in zip(short, cells, strict=True)
+    ]
+    return [": ".join(own) or name for name, own in zip(short, told, strict=True)]

@@ -34,6 +34,7 @@ from manifold.formats.tables import (
     Table,
     find_columns,
     names_directions,
+    not_understood,
     read_table,
     resembles_header,
 )
@@ -50,7 +51,7 @@ _HEAD = 70  # lines at the top, one of which is the header
 def sniff(head: bytes) -> bool:
     """Return whether a file's beginning has the header of a table of readings, or a line that resembles one."""
     text = decode(head)
-    if "\0" in text or resembles_json(text):
+    if "\0" in text or resembles_json(text) or text.lstrip().startswith("<"):
         return False
     lines = [_uncommented(line) for line in text.splitlines() if line.strip()][:_HEAD]
     try:
@@ -137,12 +138,22 @@ def _header(lines: list[str], context: ErrorContext) -> tuple[str | None, Column
 
 
 def _no_header(lines: list[str], context: ErrorContext) -> FileFormatError:
-    for separator in _SEPARATORS[:-1]:
-        for row in (split_cells(line, separator) for line in lines[:_HEAD]):
-            if len(row) > 1 and any(plain_head(cell).startswith("geometr") for cell in row):
+    for separator in _SEPARATORS:
+        for row in (split_cells(line.lstrip("#% "), separator) for line in lines[:_HEAD]):
+            said = ", ".join(row)[:80]
+            if (
+                separator is not None
+                and len(row) > 1
+                and any(plain_head(c).startswith("geometr") for c in row)
+            ):
                 return context.error(
-                    f"a header without values ({', '.join(row)[:80]}), expected wavelengths or L*, a*, b* beside the "
-                    "geometry",
+                    f"a header without values ({said}), expected wavelengths or L*, a*, b* beside the geometry",
+                    remedy=NEW_HEADER,
+                )
+            if (unknown := not_understood(row)) is not None:
+                fault = f"the head {unknown} is not understood" if unknown else "one elevation"
+                return context.error(
+                    f"a header {said}: {fault}, expected both elevations, such as theta_i, theta_o",
                     remedy=NEW_HEADER,
                 )
     return context.error("no header of a table of readings found", remedy=NEW_HEADER)

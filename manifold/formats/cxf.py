@@ -20,15 +20,17 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from manifold.core.records import Array
+from manifold.formats.column_heads import sample_names
 from manifold.formats.geometries import geometry_directions
-from manifold.formats.readings import Readings, aspecular_pair, mean_of_repeats
+from manifold.formats.readings import Assumption, Readings, aspecular_pair, mean_of_repeats
 from manifold.formats.text import ErrorContext, decode, read_bytes
 from manifold.formats.values import looks_like_percent
 
 _REMEDY = "export CxF3 with multi-angle reflectance again"
 _LARGEST = 12_000_000  # bytes
 _MOST_VALUES = 20_000_000  # values of a sample: spectra times all their wavelengths
-_USUAL_STEP_NM = "10"
+_USUAL_STEP_NM, _LAST_VISIBLE_NM = 10.0, 780.0  # of spectrophotometers for colours
+_PROPERTIES = ("Tint", "Background")  # of CxF/X-4: how much of the ink, on what
 _MOST_REFLECTANCE = 3.0  # the schema's; near the mirror direction metallic paints reflect more
 _SPECTRA = ("ReflectanceSpectrum", "CustomSpectrum")
 _Spectrum = tuple[Array, Array, Array, Array]  # wi, wo, wavelengths and values
@@ -51,7 +53,8 @@ def read(path: Path) -> list[Readings]:
     }
     objects = root.iterfind("{*}Resources/{*}ObjectCollection/{*}Object")
     samples = _by_name(
-        [o for item in objects for o in _object(item, specifications, context, path.stem)], context
+        [(_identity(item), o) for item in objects for o in _object(item, specifications, context, path.stem)],
+        context,
     )
     if not samples:
         raise context.error(
@@ -59,7 +62,7 @@ def read(path: Path) -> list[Readings]:
             "or SingleAngle, or named by its geometry (45as15, 45/0)"
         )
     for one in samples:
-        if looks_like_percent(one.wi, one.wo, one.values, _MOST_REFLECTANCE):
+        if looks_like_percent(one.wi, one.wo, one.values, _MOST_REFLECTANCE, share=0.0):
             raise context.error(
                 f"object '{one.name[:40]}': reflectance of up to {np.nanmax(one.values):.4g}, expected 1.0 for the "
                 "perfect diffuser",
@@ -81,25 +84,35 @@ def _parse(data: bytes, context: ErrorContext) -> Element:
         raise context.error(f"not a readable CxF3 document ({' '.join(str(error).split())[:100]})") from None
 
 
-def _by_name(objects: list[Readings], context: ErrorContext) -> list[Readings]:
-    """Return one record per name.
+def _identity(item: Element) -> dict[str, str]:
+    """Return what tells objects of one name apart: their type, and the properties of CxF/X-4 (ISO 17972-4)."""
+    said = {str(tag.get("Name")): str(tag.get("Value")) for tag in item.iterfind("{*}TagCollection/{*}Tag")}
+    properties = ", ".join(f"{key} {said[key]}" for key in _PROPERTIES if key in said)
+    return {"type": item.get("ObjectType", ""), "properties": properties}
 
-    Objects of the same name are either the geometries of one specimen, or repeated measurements, which are
+
+def _by_name(objects: list[tuple[dict[str, str], Readings]], context: ErrorContext) -> list[Readings]:
+    """Return one record per name and `_identity`.
+
+    Objects in which both agree are either the geometries of one specimen, or repeated measurements, which are
     numbered.
     """
-    parts: dict[str, list[list[Readings]]] = {}
-    seen: dict[str, set[tuple[float, ...]]] = {}
-    for one in objects:
+    parts: dict[tuple[str, ...], list[list[Readings]]] = {}
+    seen: dict[tuple[str, ...], set[tuple[float, ...]]] = {}
+    cells: dict[tuple[str, ...], dict[str, str]] = {}
+    for identity, one in objects:
+        own = {"sample": one.name, **identity}
+        key = tuple(own.values())
         keys = {tuple(row) for row in np.round(np.hstack([one.wi, one.wo]), 6)}
-        if keys.isdisjoint(seen.get(one.name, keys)):
-            parts[one.name][-1].append(one)
-            seen[one.name] |= keys
+        if keys.isdisjoint(seen.get(key, keys)):
+            parts[key][-1].append(one)
+            seen[key] |= keys
         else:
-            parts.setdefault(one.name, []).append([one])
-            seen[one.name] = keys
+            parts.setdefault(key, []).append([one])
+            seen[key], cells[key] = keys, own
     return [
         replace(_joined(own, context), name=f"{name} ({k})" if k > 1 else name)
-        for name, measurements in parts.items()
+        for name, measurements in zip(sample_names(cells.values()), parts.values(), strict=True)
         for k, own in enumerate(measurements, start=1)
     ]
 
@@ -120,6 +133,7 @@ def _object(
 ) -> list[Readings]:
     """Return the reflectance factors of an object: one record per measuring condition, or none."""
     name = item.get("Name") or default
+    notes: list[str] = []
     parts: dict[str, list[_Spectrum]] = {}  # by specification
     turns = Counter[str]()
     left_out = 0
@@ -135,14 +149,16 @@ def _object(
         ):
             left_out += 1
             continue
-        parts.setdefault(key, []).append((*pair, *_values(element, measurement, context, where)))
-    notes = [f"{left_out} spectra without a directional geometry are left out"] if left_out else []
+        parts.setdefault(key, []).append((*pair, *_values(element, measurement, notes, context, where)))
+    if left_out:
+        notes.append(f"{left_out} spectra without a directional geometry are left out")
     texture: dict[str, Any] = {
-        tags.get("Name") or f"tags {k}": {
-            str(tag.get("Name")): tag.get("Value") for tag in tags.iterfind("{*}Tag")
-        }
+        tags.get("Name") or f"tags {k}": {str(tag.get("Name")): tag.get("Value") for tag in of_texture}
         for k, tags in enumerate(item.iterfind("{*}TagCollection"))
+        if (of_texture := [tag for tag in tags.iterfind("{*}Tag") if tag.get("Name") not in _PROPERTIES])
     }
+    if properties := _identity(item)["properties"]:
+        notes.append(properties)
     conditions = _conditions(parts, specifications)
     if len(conditions) > 1:
         notes.append(f"measured under {', '.join(conditions)}: each is a sample of its own")
@@ -151,7 +167,7 @@ def _object(
             f"{name} ({condition})" if len(conditions) > 1 else name,
             [spectrum for key in keys for spectrum in parts[key]],
             next(filter(None, (_device(specifications[key]) for key in keys if key in specifications)), None),
-            notes, texture, context,
+            list(dict.fromkeys(notes)), texture, context,
         )
         for condition, keys in conditions.items()
     ]  # fmt: skip
@@ -240,9 +256,9 @@ def _geometry(
 
 
 def _values(
-    spectrum: Element, measurement: Element, context: ErrorContext, where: str
+    spectrum: Element, measurement: Element, notes: list[str], context: ErrorContext, where: str
 ) -> tuple[Array, Array]:
-    """Return wavelengths (B,), increasing, and values (B,)."""
+    """Return wavelengths (B,), increasing, and values (B,); assumptions are added to the notes."""
     points = spectrum.findall("{*}SpectralPoint")
     if points:
         cells = [
@@ -253,31 +269,44 @@ def _values(
             raise context.error("a wavelength of 0, or twice the same, expected different ones in nm", where)
         return nm, values
     values = np.array([context.number(c.rstrip(",;"), where) for c in (spectrum.text or "").split()])
-    return _wavelengths(spectrum, values.size, measurement, context, where), values
+    return _wavelengths(spectrum, values.size, measurement, notes, context, where), values
 
 
 def _wavelengths(
-    spectrum: Element, count: int, measurement: Element, context: ErrorContext, where: str
+    spectrum: Element, count: int, measurement: Element, notes: list[str], context: ErrorContext, where: str
 ) -> Array:
     """Return the wavelengths (B,) of a spectrum in nm.
 
-    The Increment of a spectrum takes precedence over that of its specification; the default is 10 nm.
+    What a spectrum states takes precedence over its specification. Without an Increment, the last wavelength gives it;
+    without that it is taken as 10 nm, with a note.
     """
     shared = measurement.find("{*}WavelengthRange")
-    common = shared.attrib if shared is not None else {}
-    own_step = spectrum.get("Increment") or spectrum.get("Interval")
-    start = spectrum.get("StartWL") or common.get("StartWL", "0")
-    step_nm = context.number(own_step or common.get("Increment", _USUAL_STEP_NM), where)
-    first_nm = context.number(start, where)
+    said = {**(shared.attrib if shared is not None else {}), **spectrum.attrib}
+    first_nm = context.number(said.get("StartWL", "0"), where)
+    step = spectrum.get("Increment") or spectrum.get("Interval") or said.get("Increment")
+    last_nm = context.number(said["EndWL"], where) if said.get("EndWL") else None
+    step_nm = _USUAL_STEP_NM if step is None else context.number(step, where)
+    if step is None and last_nm is not None and count > 1:
+        step_nm = (last_nm - first_nm) / (count - 1)
     if step_nm <= 0 or first_nm <= 0 or not count:
         raise context.error(
             "has no wavelengths or no values, expected StartWL, Increment and reflectance", where
         )
     nm: Array = first_nm + step_nm * np.arange(count, dtype=float)
-    end = spectrum.get("EndWL")
-    if end is not None and abs(context.number(end, where) - nm[-1]) > step_nm / 2.0:
+    if last_nm is not None and abs(last_nm - nm[-1]) > step_nm / 2.0:
         raise context.error(
-            f"{count} values from {first_nm:g} nm by {step_nm:g} nm, expected EndWL={end!r}", where
+            f"{count} values from {first_nm:g} nm by {step_nm:g} nm, expected EndWL={said['EndWL']!r}", where
+        )
+    if step is None and last_nm is None:
+        if nm[-1] > _LAST_VISIBLE_NM:
+            raise context.error(
+                f"{count} values from {first_nm:g} nm without an Increment, expected one: by {step_nm:g} nm they would "
+                f"end at {nm[-1]:g} nm",
+                where,
+                remedy="state the Increment",
+            )
+        notes.append(
+            Assumption(f"no Increment of wavelengths is stated: taken as {step_nm:g} nm, up to {nm[-1]:g} nm")
         )
     return nm
 

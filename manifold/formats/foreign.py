@@ -6,6 +6,10 @@ import codecs
 import re
 from collections.abc import Iterable
 
+MUELLER = "Mueller matrices of a polarised BRDF (KAIST .pbsdf)"
+"""Name of tensor files with the fields `MUELLER_FIELDS`. Source: Baek et al. 2020."""
+MUELLER_FIELDS = ("M", "phi_d", "theta_d", "theta_h", "wvls")
+
 # By how files begin.
 _FOREIGN = (
     (b"tensor_file\0", "an RGL file"),
@@ -24,7 +28,7 @@ _FOREIGN = (
     (b"II*\0", "a TIFF picture"),
     (b"MM\0*", "a TIFF picture"),
     (b"SCATFUN", "a Fourier BSDF of layerlab or pbrt-v3"),
-    (b"NVIDIA ARBSDF", "a measured BSDF of MDL (.mbsdf)"),
+    (b"NVIDIA ARC MBSDF", "a measured BSDF of MDL (.mbsdf) of an unknown version"),
     (b"MATLAB 5.0", "a MATLAB file"),
     (b"\x93NUMPY", "a NumPy array"),
     (b"OPTIS - ", "a surface file of Ansys Speos"),
@@ -51,7 +55,7 @@ _FOREIGN_PATTERNS = (
     (r"^\s*bsdfdata\b", "a scatter model of ASAP"),
     (r"^table_bsdf_data\b", "a surface property file of TracePro"),
     # Mini-Diff files share most keys with Zemax files; only theirs write the incidence as AOI.
-    (rf"^\s*aoi\b|mini[ -]?diff(?s:.*){_ZEMAX}", "a Synopsys Mini-Diff BSDF"),
+    (rf"^\s*aoi\b(?!\s*[,;])|mini[ -]?diff(?s:.*){_ZEMAX}", "a Synopsys Mini-Diff BSDF"),
     (_ZEMAX, "a Zemax BSDF"),
 )
 
@@ -91,6 +95,8 @@ def name_archive(names: Iterable[str]) -> str:
 
 def name_format(head: bytes) -> str:
     """Guess the format of a file from its first kilobytes."""
+    if head.startswith(b"tensor_file\0") and all(name.encode() in head[:1024] for name in MUELLER_FIELDS):
+        return MUELLER
     for magic, name in _FOREIGN:
         if head.startswith(magic):
             return name

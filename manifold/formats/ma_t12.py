@@ -21,7 +21,7 @@ import numpy as np
 
 from manifold.core import disk
 from manifold.core.errors import FileFormatError
-from manifold.formats.column_heads import lab_head, viewing_in
+from manifold.formats.column_heads import lab_head, name_columns, sample_names, viewing_in
 from manifold.formats.foreign import name_archive
 from manifold.formats.readings import DAYLIGHT, MA_T12_NAMES, Readings, Viewing
 from manifold.formats.tables import (
@@ -31,6 +31,7 @@ from manifold.formats.tables import (
     Table,
     find_columns,
     in_one_unit,
+    name_cells,
     read_table,
     text_of,
 )
@@ -278,12 +279,18 @@ def _texture_rows(rows: list[list[Cell]]) -> list[tuple[str, dict[str, Any]]]:
     for index, row in enumerate(rows[:20]):
         heads = ["" if cell is None else str(cell).strip() for cell in row]
         if sum(bool(head) for head in heads) >= 3:
+            names = name_columns(heads)
+            cells = ("",) * len(names)
             found = []
-            for below in rows[index + 1 :]:
+            for k, below in enumerate(rows[index + 1 :], start=index + 1):
                 entry = {h: c for h, c in zip(heads, below, strict=False) if h and c is not None}
                 if entry:
-                    found.append((text_of(entry.get("Name", entry.get("name"))), entry))
-            return found
+                    cells = name_cells(Table(rows), k, names, cells)
+                    found.append((cells, entry))
+            by_cells = list(dict.fromkeys(own for own, _ in found))
+            named = sample_names(dict(zip(names, own, strict=True)) for own in by_cells)
+            of_cells = dict(zip(by_cells, named, strict=True))
+            return [(of_cells[own], entry) for own, entry in found]
     return []
 
 

@@ -98,7 +98,7 @@ _PER_STERADIAN = re.compile(
     r"\b1\s*/\s*(sr|steradians?)\b|/\s*(sr|steradians?)\b|\b(sr|steradian)\s*(\^|\*\*)?\s*[-\u2212\u2013]\s*1|"
     r"sr\s*\u207b\u00b9|\bper\s+(sr|steradian)\b|\binverse\s+steradians?\b"
 )  # fmt: skip
-_PERCENT = re.compile(r"%|\bper\s?cent\b|\bpct\b")
+_PERCENT = re.compile(r"%|\bper\s?cent(age)?s?\b|\bpct\b")
 _NOT_WEIGHTED = re.compile(r"\b(not|un|non)[-\s]?cos(ine)?[-\s]?(weighted|corrected)\b")
 # Words that make a text a statement on the quantity; other words of prose say nothing.
 _TELLING = re.compile(

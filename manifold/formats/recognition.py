@@ -17,10 +17,15 @@ from manifold.core.errors import ManifoldError, UsageError
 from manifold.core.picture_bytes import KINDS
 from manifold.core.stores import METADATA, is_zipped_library
 from manifold.formats.tensor_file import is_tensor_file
-from manifold.registries import FIT_SUFFIX
+from manifold.registries import CONVERTED_SUFFIXES, FIT_SUFFIX
 
 MODEL_MAGIC = b"manifold model\r\n"
 _RGL_SUFFIXES = (".bsdf", ".bsdf.gz")
+_SUFFIXES = (  # of readings; `.json` is mostly something else
+    ".xlsx", ".xls", ".cxf",
+    *(suffix for suffixes in CONVERTED_SUFFIXES.values() for suffix in suffixes if suffix != ".json"),
+)  # fmt: skip
+_RESULTS_HEAD = b"name,file,"  # of the tables that batches write
 _FIT_HEAD = b'{\n  "format": "manifold fit"'
 
 
@@ -48,14 +53,18 @@ def kind_of(path: Path) -> Kind:
         return Kind.FOLDER
     if is_tensor_file(path):
         return Kind.RGL
-    if begins_with(path, MODEL_MAGIC) or path.suffix in (".h5", ".hdf5"):
+    if begins_with(path, MODEL_MAGIC):
         return Kind.MODEL
-    if is_fit(path):
+    if begins_with(path, _FIT_HEAD):
         return Kind.FIT
     if is_readings(path):
         return Kind.READINGS
     if begins_with(path, *KINDS):
         return Kind.PICTURE
+    if path.suffix in (".h5", ".hdf5"):
+        return Kind.MODEL
+    if is_fit(path):
+        return Kind.FIT
     return Kind.RGL if is_rgl(path) else Kind.OTHER
 
 
@@ -66,7 +75,7 @@ def is_library(path: Path) -> bool:
 
 def is_rgl(path: Path) -> bool:
     """Return whether a file is an RGL file, compressed by gzip or not, or has the name of one, whatever its content."""
-    return path.name.endswith(_RGL_SUFFIXES) or is_tensor_file(path)
+    return path.name.lower().endswith(_RGL_SUFFIXES) or is_tensor_file(path)
 
 
 def is_fit(path: Path) -> bool:
@@ -111,3 +120,18 @@ def is_readings(path: Path) -> bool:
     from manifold.formats import registry  # what only asks for RGL files does without
 
     return path.suffix != ".md" and os.path.isfile(path) and registry.identify(path) is not None
+
+
+def counts_as_readings(path: Path) -> bool:
+    """Return whether a file of a folder is to be read as readings, because of its content or its suffix.
+
+    A damaged file then fails with a reason instead of being left out. Hidden files, lock files of Excel, RGL files and
+    tables of results do not count by their suffix.
+    """
+    try:
+        if is_readings(path):
+            return True
+    except ManifoldError:  # raised again where it is read
+        pass
+    is_other = path.name.startswith((".", "~$")) or is_tensor_file(path) or begins_with(path, _RESULTS_HEAD)
+    return path.name.lower().endswith(_SUFFIXES) and not is_other

@@ -15,8 +15,9 @@ import numpy as np
 from manifold.core.errors import FileAccessError, FileFormatError, ManifoldError, UnknownNameError, UsageError
 from manifold.core.names import first_few, names_like, printable
 from manifold.formats.dense import DenseTable
-from manifold.formats.foreign import name_format
-from manifold.formats.light_side import with_light_side_note, without_hidden
+from manifold.formats.doubts import with_doubts
+from manifold.formats.foreign import MUELLER, name_format
+from manifold.formats.light_side import without_hidden
 from manifold.formats.readings import Readings
 from manifold.formats.tables import HEADERS
 from manifold.formats.tensor_file import holds_tensors
@@ -82,7 +83,7 @@ def unknown(path: Path) -> FileFormatError:
     """Return the error for a file of an unknown format."""
     head = _head(path)
     name = printable(path.name, 255)
-    if holds_tensors(head):
+    if holds_tensors(head) and name_format(head) != MUELLER:
         return FileFormatError(
             f"{name}: found an RGL file, a whole BRDF, expected readings or a table; read it with manifold.read_bsdf, "
             "or write it as a table with `manifold convert`"
@@ -118,8 +119,7 @@ def read_all(path: Path | str) -> list[Record]:
                 f"{printable(path.name, 255)}: bands of {nm[0]:g} to {nm[-1]:g} nm, expected {SHORTEST_NM:g} to "
                 f"{LONGEST_NM:g}; give wavelengths in nanometres"
             )
-    found = map(without_hidden, records)
-    return [with_light_side_note(r) if isinstance(r, Readings) else r for r in found]
+    return [with_doubts(without_hidden(record)) for record in records]
 
 
 def _read_by(known: Format, path: Path) -> list[Record]:

@@ -28,9 +28,11 @@ from manifold.formats.text import (
     number,
     split_cells,
 )
+from manifold.formats.values import LONGEST_NM, SHORTEST_NM, require_one_spectrum
 
 Wanted = Literal["reflectance", "power", "sensitivity"]
-_LEAST_NM, _MOST_NM = 100.0, 10_000.0
+_MICROMETRES = 100.0  # wavelengths without a unit are in micrometres below this, as in tables of readings
+_DELETED = -1e30  # of USGS, whose mark is -1.23e34
 _NUMBER_FIRST = re.compile(r'\s*"?[-+]?[.,]?\d')
 _COUNTERS = {"chan", "channel", "band", "no", "nr", "index", "pixel", ""}  # columns that count
 _PERCENT_OF_REFLECTANCE = re.compile(r"(refl\w*|\br)\W{0,3}(in\s+)?[(\[/]?\s*(%|per\s?cent)", re.IGNORECASE)
@@ -66,7 +68,7 @@ def read_spectrum(path: Path, wanted: Wanted) -> tuple[Array, Array]:
 
     Raises:
         FileFormatError: the file is of another kind, its columns hold another quantity or several, wavelengths
-            repeat or are not in nm, or there are fewer than two.
+            repeat, turn back or are in another unit, or there are fewer than two.
         UsageError: the file cannot be read.
     """
     advice = _WHOLE.format(wanted)
@@ -83,22 +85,25 @@ def read_spectrum(path: Path, wanted: Wanted) -> tuple[Array, Array]:
         table = _perkin_elmer(text.split("\n"), wanted, context)
     else:
         table = _table(text.split("\n"), wanted, context)
-    nm, columns = _wavelengths(table, context)
+    column, nm = _wavelengths(table, context)
     if wanted == "power" and any(is_wavenumber(head) for head in table.heads):
         raise context.error("power per wavenumber, expected power per wavelength", remedy="convert it")
-    values = np.stack(
-        [_values(table, k, wanted, context) for k in _chosen(table, columns, wanted, context)], axis=1
-    )
+    chosen = _chosen(table, [k for k in range(table.values.shape[1]) if k != column], wanted, context)
+    kept = np.all(np.nan_to_num(table.values[:, chosen]) > _DELETED, axis=1)
+    table, nm = table._replace(values=table.values[kept]), nm[kept]
+    values = np.stack([_values(table, k, wanted, context) for k in chosen], axis=1)
     if len(nm) < 2:
         raise context.error(
             f"found {len(nm)} rows of wavelength and {wanted}, expected at least 2, such as 400;0.1"
         )
-    order = np.argsort(nm)
-    nm, values = nm[order], values[order]
-    if np.any(np.diff(nm) <= 0) or not _LEAST_NM <= nm[0] <= nm[-1] <= _MOST_NM:
+    require_one_spectrum(nm, context)
+    if nm[-1] < nm[0]:
+        nm, values = nm[::-1], values[::-1]
+    if not SHORTEST_NM <= nm[0] <= nm[-1] <= LONGEST_NM:
+        said = f"as the head '{table.heads[column][:40]}' says" if table.heads else "without a head"
         raise context.error(
-            f"wavelengths from {nm[0]:g} to {nm[-1]:g}, expected different ones in nm",
-            remedy="name another unit in the head, such as Wavelength (um)",
+            f"wavelengths from {nm[0]:g} to {nm[-1]:g} nm, {said}, expected {SHORTEST_NM:g} to {LONGEST_NM:g} nm",
+            remedy="correct the unit in the head, such as Wavelength (um)",
         )
     return nm, values if wanted == "sensitivity" else values[:, 0]
 
@@ -106,7 +111,7 @@ def read_spectrum(path: Path, wanted: Wanted) -> tuple[Array, Array]:
 def _table(lines: list[str], wanted: Wanted, context: ErrorContext) -> _Columns:
     """Return the table at the end of a text; the line above it may be its header, also as a comment."""
     data = [
-        (k, line)
+        (k, line.strip())
         for k, line in enumerate(lines, start=1)
         if line.strip() and not line.lstrip().startswith("#")
     ]
@@ -121,7 +126,7 @@ def _table(lines: list[str], wanted: Wanted, context: ErrorContext) -> _Columns:
         values = [number(cell) for cell in cells]
         if len(cells) != width or width < 2 or None in values[:2]:
             raise context.error(
-                f"line {k} is '{line.strip()[:40]}', expected a wavelength in nm and a {wanted}",
+                f"line {k} is '{line[:40]}', expected a wavelength in nm and a {wanted}",
                 remedy=CORRECT_CELL,
             )
         rows.append([np.nan if value is None else value for value in values])
@@ -130,6 +135,10 @@ def _table(lines: list[str], wanted: Wanted, context: ErrorContext) -> _Columns:
     if above and not heads:
         is_comment = above[-1].lstrip().startswith("#")
         heads = _cells(above[-1].lstrip("# "), separator)
+        if all(wavelength_unit(head) is None for head in heads) and (
+            named := _named_above(above[:-1], width)
+        ):
+            return _Columns(named, np.array(rows), above)
         is_header = len(heads) == width and (
             not is_comment or any(wavelength_unit(head) is not None for head in heads)
         )
@@ -147,9 +156,18 @@ def _table(lines: list[str], wanted: Wanted, context: ErrorContext) -> _Columns:
 
 
 def _units_above(above: list[str], width: int) -> list[str]:
-    """Return the heads of two columns whose units lines above say, as JASCO's texts do: `XUNITS`, `YUNITS`."""
+    """Return the heads of two columns whose units lines above state, as in files of JASCO (`XUNITS`) and ECOSTRESS."""
     said = {found[1].upper(): found[2] for line in above if (found := _UNITS_LINE.match(line)) is not None}
-    return [f"Wavelength ({said['X']})", said["Y"]] if width == len(said) == 2 else []
+    if not width == len(said) == 2:
+        return []
+    return [said["X"] if wavelength_unit(said["X"]) is not None else f"Wavelength ({said['X']})", said["Y"]]
+
+
+def _named_above(above: list[str], width: int) -> list[str]:
+    """Return the heads of columns that a line further above names, apart by several blanks, as in files of USGS."""
+    lines = (re.split(r"\s{2,}|\t", line.strip()) for line in above)
+    named = (heads for heads in lines if len(heads) == width > 2)
+    return next((heads for heads in named if any(wavelength_unit(head) is not None for head in heads)), [])
 
 
 def _cells(line: str, separator: str | None) -> list[str]:
@@ -165,9 +183,8 @@ def _is_row(line: str) -> bool:
     return len(cells) == 2 and None not in map(number, cells)
 
 
-def _wavelengths(table: _Columns, context: ErrorContext) -> tuple[Array, list[int]]:
-    """Return wavelengths in nm of the rows, and the other columns."""
-    width = table.values.shape[1]
+def _wavelengths(table: _Columns, context: ErrorContext) -> tuple[int, Array]:
+    """Return the column of wavelengths, and the wavelengths of its rows in nm."""
     units = {k: unit for k, head in enumerate(table.heads) if (unit := wavelength_unit(head)) is not None}
     if len(units) > 1:
         raise context.error(
@@ -181,9 +198,9 @@ def _wavelengths(table: _Columns, context: ErrorContext) -> tuple[Array, list[in
     values = table.values[:, column]
     if not np.all(values > 0.0):
         raise context.error("found wavelengths of 0 or less, expected wavelengths in nm")
-    nm = nanometres(values, unit or "nm")
+    nm = nanometres(values, unit or ("um" if values.max() < _MICROMETRES else "nm"))
     assert nm is not None  # `wavelength_unit` knows these units alone
-    return nm, [k for k in range(width) if k != column]
+    return column, nm
 
 
 def _chosen(table: _Columns, columns: list[int], wanted: Wanted, context: ErrorContext) -> list[int]:

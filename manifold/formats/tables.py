@@ -9,7 +9,7 @@ rearranged.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import compress
 from typing import Any
@@ -55,6 +55,7 @@ from manifold.formats.text import (
     wavelength_nm,
 )
 from manifold.formats.values import (
+    L_PER_Y,
     TAKEN_AS_FACTORS,
     TAKEN_AS_PERCENT,
     Assumed,
@@ -65,7 +66,9 @@ from manifold.formats.values import (
     bright_bands,
     is_too_bright,
     lab_to_linear_srgb,
+    linear_srgb_to_xyz,
     relative_uncertainties,
+    require_one_spectrum,
     too_bright_rows,
     weights_of,
 )
@@ -120,7 +123,7 @@ class Columns:
         angles: columns of angles, by the names of `angle_name`, in a table of directions.
         geometry: the column of geometries' names, or None in a table of directions.
         bands: columns of values.
-        name: the column of samples' names, if there is one.
+        names: columns that together name the sample, see `column_heads.name_columns`.
         gloss: columns of gloss, with its angle in degrees.
         comments: lines of the file that may name a wavelength.
         viewing: light and observer of CIELAB values, which are converted to linear sRGB; None for other values.
@@ -134,7 +137,7 @@ class Columns:
     angles: dict[str, int]
     geometry: int | None
     bands: list[int]
-    name: int | None
+    names: dict[str, int]
     gloss: dict[int, float]
     comments: tuple[str, ...] = ()
     viewing: Viewing | None = None
@@ -194,7 +197,37 @@ def resembles_header(heads: Sequence[str]) -> bool:
         or (any(map(column_heads.is_wavelength, heads)) and any(map(is_geometry, heads)))
         or sum(name is not None for name in angle_names(heads)) >= 2
         or sum(wavelength(head) is not None for head in heads) >= 3
+        or not_understood(heads) is not None
     )
+
+
+def not_understood(heads: Sequence[str]) -> str | None:
+    """Return the head without a meaning in a header of values and one elevation; None if cells are no such header.
+
+    It is empty if all heads have a meaning.
+
+    >>> not_understood(["AOI", "AOR", "BRDF"]), not_understood(["the", "incidence", "of", "BRDF"])
+    ('AOR', None)
+    """
+    names = angle_names(heads)
+    is_value = [
+        (said := column_heads.value_head(head)) is not None and said.quantity is not None for head in heads
+    ]
+    known = zip(heads, names, is_value, strict=True)
+    unknown = [head for head, name, is_of_value in known if name is None and not is_of_value]
+    elevations = {"theta_i", "theta_o"} & set(names)
+    return "".join(unknown) if len(elevations) == 1 and any(is_value) and len(unknown) <= 1 else None
+
+
+def name_cells(table: Table, row: int, names: Mapping[str, int], above: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the cells that name the sample of a row.
+
+    `names` are columns as `column_heads.name_columns` returns them. The cells of the row above hold up to the first
+    text of this row.
+    """
+    cells = [table.text(row, k) for k in names.values()]
+    first = next((k for k, cell in enumerate(cells) if cell), len(cells))
+    return (*above[:first], *cells[first:])
 
 
 def find_columns(table: Table, context: ErrorContext) -> tuple[Table, Columns] | None:
@@ -240,13 +273,13 @@ def _wide(table: Table, index: int, heads: list[str], geometry: int | None, cont
         and said.nm is None
         and not (said.channel and not said.quantity)
     ]
-    name = column_heads.name_column([heads[k] if k in others else "" for k in range(len(heads))])
-    keys = [k for k, angle in enumerate(angle_names(heads)) if angle or k in (geometry, name)]
+    names = _name_columns(table, index, [heads[k] if k in others else "" for k in range(len(heads))])
+    keys = [k for k, angle in enumerate(angle_names(heads)) if angle or k in (geometry, *names.values())]
     is_known = geometry is not None or (names_directions(heads) and len(keys) + 1 == len(others))
     if len(values) != 1 or values[0] in keys or not is_known:
         return table
     uncertain = [k for k, head in enumerate(heads) if head and uncertainty_head(head) is not None]
-    return _from_rows_of_bands(table, index, of_nm[0], [*values, *uncertain[:1]], keys, name, context)
+    return _from_rows_of_bands(table, index, of_nm[0], [*values, *uncertain[:1]], keys, names, context)
 
 
 def _from_spectra_down(
@@ -256,6 +289,9 @@ def _from_spectra_down(
     below = [row for row in range(index + 1, len(table.rows)) if any(table.text(row, k) for k in geometries)]
     unit = column_heads.wavelength_unit(text_of(table.rows[index][of_nm])) or ""
     heads = [_band(table, row, of_nm, unit, context) for row in below]
+    require_one_spectrum(
+        np.array([wavelength(head) for head in heads], dtype=float), context, table.where(index)
+    )
     spectra = [
         [table.rows[index][k], *(table.rows[row][k] if k < len(table.rows[row]) else None for row in below)]
         for k in geometries
@@ -275,7 +311,7 @@ def _from_rows_of_bands(
     of_nm: int,
     columns: list[int],
     keys: list[int],
-    name: int | None,
+    names: Mapping[str, int],
     context: ErrorContext,
 ) -> Table:
     """Return a row per spectrum of a table with a row per value, and maybe its uncertainty, beside its wavelength."""
@@ -283,13 +319,13 @@ def _from_rows_of_bands(
     unit = column_heads.wavelength_unit(heads[of_nm]) or ""
     # Rows of the bands of spectra, by directions and sample.
     found: dict[tuple[str, ...], list[dict[str, int]]] = {}
-    sample = ""
+    sample = ("",) * len(names)
     for row in range(index + 1, len(table.rows)):
         texts = {k: table.text(row, k) for k in keys}
         if not table.text(row, columns[0]) or texts == {k: heads[k] for k in keys}:
             continue  # a footnote, or the header again
-        if name is not None:
-            sample = texts[name] = texts[name] or sample
+        sample = name_cells(table, row, names, sample)
+        texts |= dict(zip(names.values(), sample, strict=True))
         band = _band(table, row, of_nm, unit, context)
         spectra = found.setdefault(tuple(texts.values()), [{}])
         if band in spectra[-1]:
@@ -366,11 +402,11 @@ def _direction_columns(table: Table, index: int, heads: list[str], context: Erro
     if twice is not None:
         raise context.error(f"{twice} appears twice, expected each angle once", where, remedy=NEW_HEADER)
     free = [k for k, head in enumerate(heads) if k not in angles.values() and head]
-    name = column_heads.name_column([heads[k] if k in free else "" for k in range(len(heads))])
+    names = _name_columns(table, index, [heads[k] if k in free else "" for k in range(len(heads))])
     gloss = {k: a for k in free if (a := gloss_angle(heads[k])) is not None}
     uncertainties = [k for k in free if uncertainty_head(heads[k]) is not None]
     own = {head: heads.index(head) for head in (WEIGHT_HEAD, SCATTER_HEAD) if head in heads}
-    bands = [k for k in free if k not in (name, *gloss, *uncertainties, *own.values())]
+    bands = [k for k in free if k not in (*names.values(), *gloss, *uncertainties, *own.values())]
     said = [column_heads.value_head(heads[k]) for k in bands]
     unknown = [heads[k] for k, head in zip(bands, said, strict=True) if head is None]
     is_one_kind = len(bands) == 1 or all(channel(heads[k]) for k in bands) or all(h and h.nm for h in said)
@@ -387,7 +423,7 @@ def _direction_columns(table: Table, index: int, heads: list[str], context: Erro
         angles,
         None,
         bands,
-        name,
+        names,
         gloss,
         _above(table, index),
         uncertainties=uncertainties,
@@ -418,8 +454,22 @@ def _geometry_columns(
     nm = [wavelength(heads[k]) for k in bands]
     if not lab and len(set(nm)) < len(nm):
         raise context.error("two columns of the same wavelength, expected different ones", table.where(index))
-    name = column_heads.name_column(["" if k in (geometry, *bands) else head for k, head in enumerate(heads)])
-    return Columns(index, heads, {}, geometry, bands, name, gloss, _above(table, index))
+    others = ["" if k in (geometry, *bands) else head for k, head in enumerate(heads)]
+    names = _name_columns(table, index, others)
+    return Columns(index, heads, {}, geometry, bands, names, gloss, _above(table, index))
+
+
+def _name_columns(table: Table, index: int, heads: Sequence[str]) -> dict[str, int]:
+    """Return the columns that name samples; one of numbers only if it is alone or does not count the rows."""
+    names = column_heads.name_columns(heads)
+    if column_heads.NUMBER in names and len(names) > 1:
+        column = names[column_heads.NUMBER]
+        rows = [
+            k for k in range(index + 1, len(table.rows)) if sum(map(bool, map(text_of, table.rows[k]))) > 1
+        ]
+        if len({table.text(row, column) for row in rows} - {""}) == len(rows):
+            del names[column_heads.NUMBER]
+    return names
 
 
 def _geometry_column(table: Table, index: int, heads: list[str]) -> int | None:
@@ -460,15 +510,15 @@ def read_table(
 ) -> list[Readings]:
     """Read every sample below a header, in the table's order; texts that are numbers are read as numbers.
 
-    `name` is the name of the sample if the table has no column of names.
+    `name` is the name of a sample without a name in the table.
     """
     _require_nothing_above(table, columns, context)
     columns = columns.seen_under(_lights_in_columns(table, columns, context))
     notes: list[str] = []
     is_percent = column_heads.is_percent(columns.band_heads)
-    samples: dict[str, _Sample] = {}
+    samples: dict[tuple[str, ...], _Sample] = {}
     angles = {} if columns.geometry is None else resolve(_geometries(table, columns), context, notes)
-    last = name
+    named_by = ("",) * len(columns.names)
     for index in range(columns.row + 1, len(table.rows)):
         keys = [table.text(index, column) for column in columns.key]
         if keys == [columns.heads[column] for column in columns.key]:
@@ -476,8 +526,8 @@ def read_table(
         if not any(keys) or (columns.geometry is not None and keys[0] not in angles):
             _require_footnote(table, index, keys, columns, context)
             continue
-        last = (table.text(index, columns.name) if columns.name is not None else "") or last
-        sample = samples.setdefault(last, _Sample())
+        named_by = name_cells(table, index, columns.names, named_by)
+        sample = samples.setdefault(named_by, _Sample())
         sample.rows.append(index)
         sample.keys.append(keys)
         sample.values.append([_value(table, index, k, context) for k in columns.bands])
@@ -511,21 +561,33 @@ def read_table(
         notes.append(
             f"colours are read as CIELAB under {columns.viewing}{of_whom}; they do not determine spectra"
         )
+        rgb = np.concatenate([np.array(sample.values) for sample in samples.values()])
+        lightness = L_PER_Y * float(np.nanmax(linear_srgb_to_xyz(rgb)[:, 1], initial=0.0))
+        if lightness <= 1.0:
+            notes.append(
+                Assumption(f"L* is at most {lightness:.2g}, so black: multiply by 100 if it is a fraction")
+            )
+    named = column_heads.sample_names(
+        (dict(zip(columns.names, cells, strict=True)) for cells in samples), name
+    )
     white = 100.0 if is_percent else 1.0
     assumed: Assumed | None = None
     if kind is None:
         raw = [(wi, wo, np.array(samples[key].values)[keep]) for key, (keep, wi, wo, _) in pairs.items()]
-        assumed = assumed_unit(raw) if columns.geometry is None else assumed_factors(raw)
+        assumed = (assumed_unit if columns.geometry is None else assumed_factors)(raw, context)
         kind, white = assumed.quantity, assumed.white
         notes.append(assumed.note)
+        is_rgb = all(map(channel, columns.band_heads))
+        if is_rgb and assumed.unit == "percent" and all(np.all(values % 1.0 == 0.0) for _, _, values in raw):
+            notes.append(Assumption("whole numbers: if they are codes of a picture, make them linear first"))
     return [
         replace(
-            _readings(key, instrument, table, sample, pairs[key], columns, kind, white, notes, context),
+            _readings(of_sample, instrument, table, sample, pairs[key], columns, kind, white, notes, context),
             assumed_unit=None if assumed is None else assumed.unit,
             viewing=columns.viewing or DAYLIGHT,
             is_viewing_assumed=columns.is_viewing_assumed,
         )
-        for key, sample in samples.items()
+        for of_sample, (key, sample) in zip(named, samples.items(), strict=True)
     ]
 
 
@@ -586,7 +648,9 @@ def _value(table: Table, index: int, column: int, context: ErrorContext) -> floa
     return float("nan") if not text else context.number(text, table.where(index, column))
 
 
-def _is_degrees(table: Table, columns: Columns, samples: dict[str, _Sample], context: ErrorContext) -> bool:
+def _is_degrees(
+    table: Table, columns: Columns, samples: Mapping[tuple[str, ...], _Sample], context: ErrorContext
+) -> bool:
     """Return whether angles are in degrees: as heads or cells say, or because they are too large for radians."""
     where = table.where(columns.row)
     unit = column_heads.angle_unit([columns.heads[k] for k in columns.angles.values()], context, where)
@@ -643,7 +707,11 @@ def _angle(text: str, where: str, context: ErrorContext) -> float:
 
 def _require_one_condition(table: Table, sample: _Sample, columns: Columns, context: ErrorContext) -> None:
     """Raise FileFormatError where a geometry is read under M1 and M2 (ISO 13655), which are no repeats."""
-    others = [k for k in range(len(columns.heads)) if k not in (columns.name, *columns.key, *columns.bands)]
+    others = [
+        k
+        for k in range(len(columns.heads))
+        if k not in (*columns.names.values(), *columns.key, *columns.bands)
+    ]
     first: dict[tuple[int, str], str] = {}
     for row, (geometry,) in zip(sample.rows, sample.keys, strict=True):
         for k in others:
@@ -673,7 +741,7 @@ def _geometry_pairs(
             )
         pairs.append(pair)
         first = sample.rows[sample.keys.index([text])]
-        if columns.name is None and first != row:
+        if not columns.names and first != row:
             raise context.error(
                 f"geometry '{text[:24]}' is also in {table.where(first)}; expected a column Name that "
                 "distinguishes the samples",

@@ -9,11 +9,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from manifold.core.directions import cos_from_mirror
+from manifold.core.errors import FileFormatError
 from manifold.core.records import Array, Indices, Mask
 from manifold.formats.column_heads import channel, is_percent, uncertainty_head, wavelength
 from manifold.formats.quantities import BRDF, FACTORS, Quantity
 from manifold.formats.readings import NO_UNIT, Assumption
 from manifold.formats.text import LENGTH_UNIT, ErrorContext, is_length_unit, wavelength_nm
+
+L_PER_Y = (29.0 / 3.0) ** 3
+"""L* over Y, where Y is 1 for the perfect diffuser, of colours with L* below 8. Source: CIE 15."""
 
 SHORTEST_NM, LONGEST_NM = 100.0, 1e5
 """The range of wavelengths in nm; numbers outside it must have another unit."""
@@ -34,6 +38,7 @@ TOO_BRIGHT = _NO_UNIT + "as BRDF in 1/sr it would reflect more light than it rec
 _MOST_BRDF = (
     1.15  # radiance factor of a band away from the mirror direction: of 20 real materials at most 1.02
 )
+_BANDS = 1.0 / 8.0  # share of the bands that tells the unit; fewer may be saturated
 _FEW = 5  # values; of fewer all must be too bright, and at least two
 _PERCENT_FROM = 2.0  # reflectance factors away from the mirror direction are below this, percentages above
 _PERCENT_ANYWHERE = 30.0  # 15 degrees from it, where these instruments see most, even chrome stays below this
@@ -77,6 +82,25 @@ def named_wavelength(comments: Iterable[str], context: ErrorContext) -> float | 
     return named.pop() if len(named) == 1 else None
 
 
+def require_one_spectrum(nm: Array, context: ErrorContext, where: str | None = None) -> None:
+    """Raise FileFormatError if wavelengths in nm (B,), in the order of a file, repeat or turn back.
+
+    Two spectra, one below the other, would become one that goes up and down.
+    """
+    steps = np.diff(nm) * np.sign(nm[-1] - nm[0])
+    if np.all(steps > 0.0):
+        return
+    k = int(np.argmax(steps <= 0.0))
+    found = (
+        f"wavelength {nm[k]:g} nm twice"
+        if nm[k] == nm[k + 1]
+        else f"wavelengths go back from {nm[k]:g} to {nm[k + 1]:g} nm"
+    )
+    raise context.error(
+        f"{found}, expected one spectrum", where, remedy="keep one spectrum, and one value per wavelength"
+    )
+
+
 def _stated(found: re.Match[str], line: str, context: ErrorContext) -> float | None:
     """Return the wavelength in nm of a statement; None if it is one of several, or a number of something else."""
     behind = _UNIT_BEHIND.match(found["rest"])
@@ -116,33 +140,55 @@ class Assumed(NamedTuple):
     note: str
 
 
-def assumed_unit(raw: Sequence[tuple[Array, Array, Array]]) -> Assumed:
+def assumed_unit(raw: Sequence[tuple[Array, Array, Array]], context: ErrorContext) -> Assumed:
     """Choose the unit of values without one: BRDF in 1/sr, reflectance factors, or these in percent.
 
     Values are reflectance factors if, as a BRDF, they would reflect more light than arrives in at least an eighth of
     the bands; fewer bands may be saturated. If only a single value indicates this, they stay a BRDF, with a note.
-    Factors are in percent if their mean over bands is too bright as well, or an eighth of the bands by more than
-    fluorescence can explain.
+    Factors are in percent if their median over bands is too bright as well, or an eighth of the bands by more than
+    fluorescence can explain. Raises FileFormatError if they are too bright in percent too.
 
     `raw` holds wi (P, 3), wo (P, 3) and values (P, B) of each sample of one file.
     """
     if not any(is_too_bright(*of_sample) for of_sample in raw):
         few_say_so = any(is_too_bright(*of_sample, fewest=1) for of_sample in raw)
         return Assumed("brdf", BRDF, 1.0, LOOKS_LIKE_FACTORS if few_say_so else TAKEN_AS_BRDF)
-    as_factors = [(wi, wo, values / np.pi) for wi, wo, values in raw]
-    if any(
-        is_too_bright(wi, wo, f, most=_PERCENT_FROM) or is_too_bright(wi, wo, f.mean(axis=1, keepdims=True))
+    if not _are_too_bright_factors(raw, 1.0):
+        return Assumed("factor", FACTORS, 1.0, Assumption(TOO_BRIGHT + "taken as reflectance factors"))
+    if _are_too_bright_factors(raw, 100.0):
+        raise _no_unit(raw, context)
+    return Assumed("percent", FACTORS, 100.0, Assumption(TOO_BRIGHT + "taken as per cent"))
+
+
+def assumed_factors(raw: Sequence[tuple[Array, Array, Array]], context: ErrorContext) -> Assumed:
+    """Return reflectance factors as the assumed unit, or percent if the values are too large.
+
+    Raises FileFormatError if they are too large for percent too.
+    """
+    if not any(looks_like_percent(*of_sample) for of_sample in raw):
+        return Assumed("factor", FACTORS, 1.0, TAKEN_AS_FACTORS)
+    if any(looks_like_percent(wi, wo, values / 100.0) for wi, wo, values in raw):
+        raise _no_unit(raw, context)
+    return Assumed("percent", FACTORS, 100.0, TAKEN_AS_PERCENT)
+
+
+def _are_too_bright_factors(raw: Sequence[tuple[Array, Array, Array]], white: float) -> bool:
+    """Return whether values are too bright for reflectance factors, `white` being that of the perfect diffuser."""
+    as_factors = [(wi, wo, values / (white * np.pi)) for wi, wo, values in raw]
+    return any(
+        is_too_bright(wi, wo, f, most=_PERCENT_FROM)
+        or is_too_bright(wi, wo, np.median(f, axis=1, keepdims=True))
         for wi, wo, f in as_factors
-    ):
-        return Assumed("percent", FACTORS, 100.0, Assumption(TOO_BRIGHT + "taken as per cent"))
-    return Assumed("factor", FACTORS, 1.0, Assumption(TOO_BRIGHT + "taken as reflectance factors"))
+    )
 
 
-def assumed_factors(raw: Sequence[tuple[Array, Array, Array]]) -> Assumed:
-    """Return reflectance factors as the assumed unit, or percent if the values are too large."""
-    if any(looks_like_percent(*of_sample) for of_sample in raw):
-        return Assumed("percent", FACTORS, 100.0, TAKEN_AS_PERCENT)
-    return Assumed("factor", FACTORS, 1.0, TAKEN_AS_FACTORS)
+def _no_unit(raw: Sequence[tuple[Array, Array, Array]], context: ErrorContext) -> FileFormatError:
+    most = max(float(np.max(np.nan_to_num(values))) for _, _, values in raw)
+    return context.error(
+        f"values of up to {most:.5g}, which even as per cent would reflect more light than they receive, expected a "
+        "BRDF in 1/sr, or reflectance factors",
+        remedy="name their quantity, or divide by the value of a perfect diffuser; make codes of pictures linear first",
+    )
 
 
 def relative_uncertainties(
@@ -239,16 +285,22 @@ def bands_of(
     return found[order], values[:, order]
 
 
-def looks_like_percent(wi: Array, wo: Array, values: Array, most_factor: float = _PERCENT_FROM) -> bool:
-    """Return whether values are too large for reflectance factors, away from the mirror direction or anywhere."""
-    mirror = cos_from_mirror(wi, wo)
-    off = np.nan_to_num(values[mirror < np.cos(np.deg2rad(40.0))])
-    return bool(np.max(off, initial=0.0) > most_factor or np.max(np.nan_to_num(values)) > _PERCENT_ANYWHERE)
+def looks_like_percent(
+    wi: Array, wo: Array, values: Array, most_factor: float = _PERCENT_FROM, share: float = _BANDS
+) -> bool:
+    """Return whether values are too large for reflectance factors, away from the mirror direction or anywhere.
+
+    They are in at least this share of the bands, so that a saturated band does not count.
+    """
+    f = np.nan_to_num(values)
+    off = f[cos_from_mirror(wi, wo) < np.cos(np.deg2rad(40.0))]
+    is_large = (off.max(axis=0, initial=0.0) > most_factor) | (f.max(axis=0) > _PERCENT_ANYWHERE)
+    return bool(is_large.sum() >= max(share * values.shape[1], 1.0))
 
 
 def is_too_bright(wi: Array, wo: Array, values: Array, fewest: int = 2, most: float = _MOST_BRDF) -> bool:
     """Return whether at least an eighth of the bands are too bright, see `bright_bands`."""
-    return int(bright_bands(wi, wo, values, fewest, most).sum()) >= max(values.shape[1] / 8.0, 1.0)
+    return int(bright_bands(wi, wo, values, fewest, most).sum()) >= max(_BANDS * values.shape[1], 1.0)
 
 
 def bright_bands(wi: Array, wo: Array, values: Array, fewest: int = 2, most: float = _MOST_BRDF) -> Mask:
@@ -258,7 +310,7 @@ def bright_bands(wi: Array, wo: Array, values: Array, fewest: int = 2, most: flo
     values it is False.
     """
     is_bright = np.zeros(values.shape[1], dtype=bool)
-    for k, band in enumerate(values[_is_diffuse(wi, wo)].T):
+    for k, band in enumerate(values[is_diffuse(wi, wo)].T):
         seen = band[np.isfinite(band)]
         if len(seen) >= fewest:
             is_bright[k] = np.pi * (np.median(seen) if len(seen) >= _FEW else seen.min()) > most
@@ -268,11 +320,11 @@ def bright_bands(wi: Array, wo: Array, values: Array, fewest: int = 2, most: flo
 def too_bright_rows(wi: Array, wo: Array, values: Array) -> Indices:
     """Return the indices of rows of values (P, B) in 1/sr with too large a mean, if most rows are darker."""
     with np.errstate(invalid="ignore"):
-        rows = np.flatnonzero(_is_diffuse(wi, wo) & (np.pi * np.mean(values, axis=1) > _MOST_BRDF))
+        rows = np.flatnonzero(is_diffuse(wi, wo) & (np.pi * np.mean(values, axis=1) > _MOST_BRDF))
     return rows if 2 * len(rows) < len(values) else rows[:0]
 
 
-def _is_diffuse(wi: Array, wo: Array) -> Mask:
+def is_diffuse(wi: Array, wo: Array) -> Mask:
     """Return a mask of direction pairs (P, 3) away from mirror direction and horizon."""
     mirror = cos_from_mirror(wi, wo)
     is_seen = np.minimum(wi[:, 2], wo[:, 2]) > np.cos(np.deg2rad(70.0))

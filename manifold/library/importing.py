@@ -166,7 +166,9 @@ def find_files(
     found: dict[Path, None] = {}
     for source in map(Path, sources):
         if source.is_dir():
-            inside = sorted(path for path in _walk(source) if path.is_file() and is_wanted(path))
+            inside = sorted(
+                path for path in _walk(source) if (path.is_file() or path.is_symlink()) and is_wanted(path)
+            )
             if not inside:
                 raise MissingFileError(f"{source}: holds no {what}; name a folder that does, or the files")
             found.update(dict.fromkeys(inside))

@@ -9,16 +9,19 @@ from manifold.colour.conversion import srgb_to_xyz, to_xyz
 from manifold.colour.difference import delta_e_2000
 from manifold.colour.narrow_bands import (
     SPECTRUM,
-    _at,
     _estimated,
     _learned,
+    _read,
     colour_errors,
     estimate_spectra,
+    interpolation_errors,
+    is_coarse,
     is_narrow,
     with_spectra,
 )
 from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
 from manifold.core.directions import from_spherical
+from manifold.core.errors import UsageError
 from manifold.core.records import Array, Bands
 from manifold.formats.readings import Readings
 
@@ -61,7 +64,7 @@ def test_wiener_estimates_give_better_colours_than_interpolation_or_bands_as_rgb
     coarse = spectra[:, ::10]
     estimated = np.empty_like(coarse)
     for one in (0, 1):
-        learned = _learned(coarse[half != one], _at(coarse[half != one], NARROW))
+        learned = _learned(coarse[half != one], _read(coarse[half != one], NARROW))
         estimated[half == one] = _estimated(read[half == one], learned)
     ways = {
         "estimated": to_xyz(estimated, SPECTRUM),
@@ -116,6 +119,40 @@ def test_narrow_bands_are_blue_green_and_red(nm, answer):
     assert not is_narrow(Bands(None))
 
 
+def bands_from(*ranges: range) -> Bands:
+    return Bands(tuple(float(nm) for part in ranges for nm in part))
+
+
+@pytest.mark.parametrize(
+    ("bands", "answer"),
+    [
+        (bands_from(range(400, 701, 10)), False),
+        (bands_from(range(400, 701, 20)), False),
+        (bands_from(range(400, 701, 25)), False),
+        (bands_from(range(400, 701, 50)), True),
+        (bands_from(range(400, 501, 20), range(660, 701, 20)), True),  # a gap of 160 nm
+        (bands_from(range(500, 701, 20)), True),  # no blue
+        (bands_from(range(400, 701, 50), range(800, 1001, 100)), True),
+        (bands_from(range(800, 1001, 20)), False),  # no colour
+        (NARROW, False),
+        (Bands(None), False),
+    ],
+)
+def test_bands_are_coarse_if_their_interpolation_changes_colours(bands, answer):
+    assert is_coarse(bands) is answer
+    if bands.count > 3 and bands.wavelengths_nm[0] < 700.0:  # as a shortcut says
+        assert (interpolation_errors(bands)[1] > 1.0) is answer
+
+
+@pytest.mark.parametrize("infrared", [(), (850.0, 1050.0)])
+def test_colours_of_coarse_bands_are_estimated_better_than_interpolated(infrared):
+    """Seven bands of 50 nm; the reflectances that are estimated are left out of those that are learned from."""
+    bands = Bands((*np.arange(400.0, 701.0, 50.0).tolist(), *infrared))
+    (median, most), (of_lines, most_of_lines) = colour_errors(bands), interpolation_errors(bands)
+    assert median < 0.5 * of_lines
+    assert most < 0.7 * most_of_lines
+
+
 def test_readings_become_spectra_with_a_note_and_others_stay(rng):
     wi, wo = from_spherical(np.full(4, 0.3), np.pi), from_spherical(np.linspace(0.0, 1.0, 4), 0.0)
     values = rng.random((4, 3))
@@ -125,5 +162,14 @@ def test_readings_become_spectra_with_a_note_and_others_stay(rng):
     np.testing.assert_array_equal(found.measured.all(axis=1), [True, True, False, True])
     assert "465, 525, 630 nm" in found.notes[-1]
     assert "manifold calibrate" in found.notes[-1]
+    assert "1 reading without all bands left out" in found.notes[-1]
     assert found.colour_error == colour_errors(NARROW)[0]
     assert with_spectra(found) is found
+
+
+def test_bands_read_at_other_directions_each_are_no_colours():
+    """The message was that no reading is above zero."""
+    wi, wo = from_spherical(np.full(3, 0.3), np.pi), from_spherical(np.linspace(0.0, 1.0, 3), 0.0)
+    values = np.where(np.eye(3) > 0.0, 0.1, np.nan)
+    with pytest.raises(UsageError, match="no direction was measured in all of 3 bands"):
+        with_spectra(Readings("s", "camera", wi, wo, np.array(NARROW.wavelengths_nm), values))

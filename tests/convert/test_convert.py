@@ -12,12 +12,14 @@ from helpers.instrument_files import RGB, dense, smooth, write_every_format, wri
 from helpers.small_library import measured
 
 from manifold.analytic import corpus
+from manifold.analytic.base import Lambert
 from manifold.analytic.virtual_instruments import MINI_DIFF_BANDS, write_mini_diff
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.cli.main import run
-from manifold.colour.conversion import to_srgb
-from manifold.colour.difference import lab_under_d65, lab_values
+from manifold.colour.conversion import srgb_to_xyz, to_srgb, to_xyz
+from manifold.colour.difference import delta_e_2000, lab_under_d65, lab_values
 from manifold.colour.narrow_bands import SPECTRUM, estimate_spectra, with_spectra
+from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
 from manifold.convert import targets
 from manifold.convert.conversion import _reasons as reasons
 from manifold.convert.conversion import convert
@@ -162,9 +164,7 @@ def test_conversions_say_what_readings_leave_open(files, tmp_path):
         )
 
     whole = registry.read_readings(files["mini-diff"])
-    assert said(whole, ".bsdf", resolution=8, n_theta_i=4).startswith(
-        "spectra are estimated from three bands"
-    )
+    assert said(whole, ".bsdf", resolution=8, n_theta_i=4).startswith("spectra are estimated from 3 bands")
     assert said(whole, ".csv") == ""
     steps = np.unique(np.round(whole.wi[:, 2], 6))
     one = whole.select_pairs(np.flatnonzero(np.isclose(whole.wi[:, 2], steps[1], atol=1e-5))).select_bands(
@@ -189,6 +189,29 @@ def test_bands_that_were_not_measured_stay_so(files, tmp_path):
     made = convert([tmp_path / "gap.csv"], tmp_path / "out.astm")
     assert len(registry.read(tmp_path / "out.astm")) == 11
     assert any("left out" in note for note in made.notes)
+
+
+def test_wavelengths_at_other_directions_each_make_a_table_but_no_brdf(tmp_path):
+    """The first gave an error on shapes after it was written, the second an internal error."""
+    path = tmp_path / "sky.csv"
+    path.write_text("Sample,SZA,VZA,RAA,Wavelength,BRF\ns,30,20,0,650,0.4\ns,30,20,90,850,0.3\n")
+    made = convert([path], tmp_path / "out.csv")
+    assert (made.nodes, made.errors.linear) == (2, pytest.approx(0.0, abs=1e-8))
+    expected = np.array([[0.4, np.nan], [np.nan, 0.3]]) / np.pi
+    np.testing.assert_allclose(registry.read(tmp_path / "out.csv").values, expected, rtol=1e-8)
+    for name in ("out.bsdf", "out.binary", "out.astm", "out.brdf"):
+        with pytest.raises(UsageError, match=r"s: no direction was measured in all bands.*; write CSV"):
+            convert([path], tmp_path / name)
+
+
+def test_directions_not_measured_in_all_bands_are_counted(tmp_path):
+    readings = half_a_goniometer(smooth(MINI_DIFF_BANDS))
+    values = readings.values.copy()
+    values[[3, 50, 80], 1] = np.nan
+    csv_table.write(tmp_path / "gap.csv", replace(readings, values=values))
+    made = convert([tmp_path / "gap.csv"], tmp_path / "out.bsdf", options=Options(16, 8))
+    assert made.nodes < len(readings)
+    assert "3 directions not measured in all bands: left out" in made.notes
 
 
 def test_a_dozen_readings_make_no_brdf(files, tmp_path):
@@ -228,6 +251,24 @@ def rgl_of(bands: Bands, path):
         path, goniometer.measure(smooth(bands), "smooth", resolution=48, n_theta_i=24, compensate=False)
     )
     return path
+
+
+@pytest.mark.parametrize("form", ["csv", "bsdf"])
+def test_colours_of_coarse_bands_are_those_of_whole_spectra(form, tmp_path):
+    """A Lambertian red in seven bands of 50 nm was off by CIEDE2000 3.4, without a note."""
+    fine, coarse = np.arange(400.0, 701.0, 1.0), np.arange(400.0, 701.0, 50.0)
+    names = [name for name in diffuse_reflectance_names() if name.partition("/")[2].lower() == "red"]
+    white = to_xyz(np.ones(fine.size), Bands(tuple(fine)))
+    for name in names:
+        half = half_a_goniometer(Lambert(diffuse_reflectance(name, coarse), Bands(tuple(coarse))))
+        csv_table.write(tmp_path / "red.csv", half)
+        if form == "bsdf":
+            convert([tmp_path / "red.csv"], tmp_path / "red.bsdf", options=Options(16, 8))
+        made = convert([tmp_path / f"red.{form}"], tmp_path / "red.binary")
+        assert any(note.startswith("spectra are estimated from 7 bands at 400, 450") for note in made.notes)
+        found = np.pi * np.nanmedian(registry.read(tmp_path / "red.binary").values, axis=(0, 1, 2))
+        truth = to_xyz(diffuse_reflectance(name, fine), Bands(tuple(fine)))
+        assert delta_e_2000(srgb_to_xyz(found), truth, white) < 1.0  # reds are among those learned from
 
 
 def test_a_sample_of_a_file_of_one_material_is_refused(tmp_path):

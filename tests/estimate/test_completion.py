@@ -740,6 +740,16 @@ def test_spectra_become_rgb_for_photographs_and_rgb_no_spectrum():
         for_library(readings(np.ones((12, 3))), Bands((400.0, 500.0)))
 
 
+def test_colours_of_coarse_bands_are_noted_for_an_rgb_library():
+    coarse = readings(np.ones((12, 7)), nm=np.arange(400.0, 701.0, 50.0))
+    (note,) = for_library(coarse, Bands(None)).notes
+    assert note.startswith(
+        "colours are interpolated between 7 bands, 400.0 to 700.0 nm: expected colour error 2.0"
+    )
+    assert for_library(coarse, Bands((400.0, 500.0))).notes == ()
+    assert for_library(readings(np.ones((12, 16)), nm=np.arange(400.0, 701.0, 20.0)), Bands(None)).notes == ()
+
+
 def test_spectra_survive_an_rgb_library(atoms):
     assert atoms.bands.is_rgb
     nm = np.arange(400.0, 701.0, 10.0)
@@ -755,7 +765,7 @@ def test_spectra_survive_an_rgb_library(atoms):
 def test_the_error_of_estimated_colours_is_part_of_the_expected_one(atoms, calibration):
     made = Completion.of(atoms, readings(np.full((12, 3), 0.1), nm=np.array([465.0, 525.0, 630.0])))
     assert made.readings.colour_error > 1.0
-    assert any("spectra are estimated from three bands at 465, 525, 630 nm" in note for note in made.notes)
+    assert any("spectra are estimated from 3 bands at 465, 525, 630 nm" in note for note in made.notes)
     measured = replace(made.readings, colour_error=0.0)
     known = replace(made, evidence=replace(made.evidence, readings=measured))
     measured, estimated = (calibration.expected(one).ball for one in (known, made))

@@ -13,7 +13,9 @@ from manifold.convert.contents import inspect
 from manifold.core.errors import FileFormatError, UsageError
 from manifold.core.records import Bands
 from manifold.formats import bird, registry
-from manifold.formats.recognition import is_readings
+from manifold.formats.recognition import Kind, is_readings, kind_of
+from manifold.formats.tensor_file import write_tensors
+from manifold.io_rgl import read_bsdf
 from manifold.render.ball import make_settings
 
 TABLES = {
@@ -37,6 +39,61 @@ def test_every_format_is_recognised_by_what_it_writes(tmp_path):
     for path in write_every_format(tmp_path).values():
         assert registry.identify(path) is not None
         registry.read_all(path)
+
+
+@pytest.mark.parametrize("name", ["a.h5", "a.hdf5", "a.fit.json", "a.json", "a.bsdf", "a.png", "a"])
+def test_content_comes_before_the_name(name, tmp_path):
+    """Tables called .h5 and .fit.json were refused by name."""
+    path = tmp_path / name
+    path.write_text(TABLES["planetary"])
+    assert kind_of(path) is Kind.READINGS
+    assert inspect(path).rows["format"] == "CSV table"
+
+
+def test_names_decide_where_the_content_says_nothing(tmp_path):
+    kinds = {"a.h5": Kind.MODEL, "a.fit.json": Kind.FIT, "a.bsdf": Kind.RGL, "a.json": Kind.OTHER}
+    for name in kinds:
+        (tmp_path / name).write_text("damaged")
+    assert {name: kind_of(tmp_path / name) for name in kinds} == kinds
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            "AOI,AOR,BRDF\n30,30,0.5\n",
+            "a header AOI, AOR, BRDF: the head AOR is not understood, expected both elev",
+        ),
+        ("BRDF;AOR;AOI\n0,5;30;30\n", "a header BRDF, AOR, AOI: the head AOR is not understood"),
+        (
+            "incidence\tspecular angle\tReflectance\n30\t30\t0.5\n",
+            "the head specular angle is not understood",
+        ),
+        (
+            "theta_o,BRDF 633nm\n30,0.5\n",
+            "a header theta_o, BRDF 633nm: one elevation, expected both elevations",
+        ),
+    ],
+)
+def test_a_head_that_is_not_understood_is_named(text, words, tmp_path):
+    """`AOI,AOR,BRDF` was called a Mini-Diff."""
+    (tmp_path / "table.csv").write_text(text)
+    with pytest.raises(FileFormatError, match=rf"table\.csv: .*{words}"):
+        registry.read_all(tmp_path / "table.csv")
+
+
+def test_polarised_files_are_named(tmp_path):
+    """They were called damaged RGL files."""
+    fields = {name: np.zeros(2, np.float32) for name in ("phi_d", "theta_d", "theta_h")}
+    write_tensors(
+        tmp_path / "a.pbsdf",
+        {"M": np.zeros((2, 2, 2, 1, 4, 4), np.float32), **fields, "wvls": np.zeros(1, np.uint16)},
+    )
+    for read in (read_bsdf, registry.read_all):
+        with pytest.raises(
+            FileFormatError, match=r"found Mueller matrices of a polarised BRDF \(KAIST \.pbsdf\)"
+        ):
+            read(tmp_path / "a.pbsdf")
 
 
 @pytest.mark.parametrize(

@@ -230,6 +230,60 @@ def test_samples_are_told_apart_whatever_their_column_is_called(heads, tmp_path)
     np.testing.assert_allclose(np.pi * second.values[:, 0], 0.2)
 
 
+NAMED_TOGETHER = {
+    "Standard Name,Trial Name": ["red,", "red,red 1", "blue,", "blue,blue 1"],
+    "Trial Name,Standard Name": [",red", "1,red", ",blue", "1,blue"],
+    "Name,Type": ["red,Standard", "red,Batch", "blue,Standard", "blue,Batch"],
+    "Material,Color Name": ["felt,red", "felt,blue", "wool,red", "wool,blue"],
+    "Sample ID,Name": ["1,red", "2,red", "3,blue", "4,blue"],
+}
+TOGETHER = {
+    "Standard Name,Trial Name": ["red", "red 1", "blue", "blue 1"],
+    "Trial Name,Standard Name": ["red", "red: 1", "blue", "blue: 1"],
+    "Name,Type": ["red: Standard", "red: Batch", "blue: Standard", "blue: Batch"],
+    "Material,Color Name": ["felt: red", "felt: blue", "wool: red", "wool: blue"],
+    "Sample ID,Name": ["red: 1", "red: 2", "blue: 3", "blue: 4"],
+}
+
+
+@pytest.mark.parametrize("is_merged", [False, True], ids=["each row named", "cells merged"])
+@pytest.mark.parametrize("heads", NAMED_TOGETHER)
+def test_columns_together_name_a_sample(heads, is_merged, tmp_path):
+    """A row without a trial joined the sample above it, and rows of a standard and of its batch were averaged."""
+    rows = [
+        f"{',' if is_merged and geometry != '45as15' else cells},{geometry},0.{k + 1},0.2,0.3"
+        for k, cells in enumerate(NAMED_TOGETHER[heads])
+        for geometry in ("45as15", "45as45")
+    ]
+    path = tmp_path / "samples.csv"
+    path.write_text("\n".join([f"{heads},Geometry,400,500,600", *rows]))
+    found = registry.read_all(path)
+    assert [one.name for one in found] == TOGETHER[heads]
+    for k, one in enumerate(found):
+        np.testing.assert_allclose(np.pi * one.values[:, 0], 0.1 * (k + 1))
+        assert len(one) == 2
+
+
+def test_numbers_that_count_rows_name_no_sample(tmp_path):
+    rows = [
+        f"{3 * k + g},{name},45as{15 * g + 15},0.1,0.2,0.3" for k, name in enumerate("ab") for g in range(3)
+    ]
+    path = tmp_path / "samples.csv"
+    path.write_text("\n".join(["ID,Name,Geometry,400,500,600", *rows]))
+    assert [(one.name, len(one)) for one in registry.read_all(path)] == [("a", 3), ("b", 3)]
+
+
+def test_texture_values_are_found_by_columns_that_together_name_a_sample(tmp_path):
+    heads = ["Standard Name", "Trial Name", "Geometry"]
+    cells = [["red", None, "45as15"], ["red", "red 1", "45as15"]]
+    spectra = [[*heads, 400, 500, 600], *([*own, 0.1, 0.2, 0.3] for own in cells)]
+    texture = [[*heads, "Graininess"], *([*own, k] for k, own in enumerate(cells))]
+    workbook(tmp_path / "a.xlsx", {"Spectral Data": spectra, "Texture Data": texture})
+    red, trial = registry.read_all(tmp_path / "a.xlsx")
+    assert (red.name, trial.name) == ("red", "red 1")
+    assert [one.texture["values"][0]["Graininess"] for one in (red, trial)] == [0, 1]
+
+
 TURNED = "\n".join(["nm,45as15,45as25,45as45", *(f"{w},1,2,3" for w in range(400, 701, 10))])
 
 
@@ -244,6 +298,14 @@ def test_spectra_may_stand_below_their_geometries(tmp_path):
     found = registry.read_readings(tmp_path / "down.xlsx")
     np.testing.assert_allclose(found.values, SPECTRO.values)
     np.testing.assert_allclose(found.wo, SPECTRO.wo, atol=1e-12)
+
+
+def test_two_spectra_below_each_other_are_refused(tmp_path):
+    (tmp_path / "down.csv").write_text("nm,45as15\n400,1\n500,2\n600,3\n405,1\n505,2\n605,3\n")
+    with pytest.raises(
+        FileFormatError, match="wavelengths go back from 600 to 405 nm, expected one spectrum"
+    ):
+        registry.read_all(tmp_path / "down.csv")
 
 
 def test_a_row_per_geometry_and_wavelength_is_a_table_of_spectra(tmp_path):

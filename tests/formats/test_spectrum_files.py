@@ -84,6 +84,29 @@ REFLECTANCES = {
 }  # fmt: skip
 
 
+ECOSTRESS = (
+    "Name: paint\nMeasurement: Directional (10 Degree) Hemispherical Reflectance\nFirst Column: X\n"
+    "X Units: Wavelength (micrometers)\nY Units: Reflectance (percent)\nNumber of X Values: 7\n\n"
+)
+USGS = (
+    "Spectral library\nline 17 to end:  3-columns of data:\n     wavelength    reflectance    standard deviation\n\n"
+    "(      -1.23e34  indicates a deleted number)\n-----\nLawn_Grass (Green)     W1R1Ba AREF\ncopy of r\n"
+)
+DELETED = "      0.205100      -1.23e34      0.000000\n"
+REFLECTANCES |= {
+    "ECOSTRESS": table("", NM[::-1] / 1e3, 100.0 * R[::-1], separator="\t", above=ECOSTRESS),
+    "ECOSTRESS in percentage": table(
+        "", NM[::-1] / 1e3, 100.0 * R[::-1], separator="  ", above=ECOSTRESS.replace("percent", "percentage")
+    ),
+    "USGS, with deleted points": table("", NM / 1e3, R, 0.0 * R, separator="   ", above=USGS + DELETED)
+    + DELETED,
+    "a deleted point": table("nm;R", [390.0, *NM], [-1.23e34, *R], separator=";"),
+    "micrometres without a head": table("", NM / 1e3, R, separator=" "),
+    "micrometres without a unit": table("Wavelength;R", NM / 1e3, R, separator=";"),
+    "rows behind tabs": table("", NM, R, separator="\t").replace("\n", "\n\t"),
+}
+
+
 @pytest.mark.parametrize("name", REFLECTANCES)
 def test_reflectances_are_read_however_they_are_spelt(name, tmp_path):
     path = tmp_path / "spectrum.txt"
@@ -118,6 +141,11 @@ def test_utf_16_of_spreadsheets_is_read(tmp_path):
         (table("", 1e7 / NM, R, separator=" ", above="Wavenumber in cm-1, reflectance\n"), "expected a head for each"),
         (table("", NM, R, separator=" ", above="Absorbance of a dye\n"), "found 'Absorbance of a dye'"),
         (table("XYDATA", NM, R, above="XUNITS\tNANOMETERS\nYUNITS\tABSORBANCE\n"), "columns ABSORBANCE: expected"),
+        (table("", NM, R, separator=" ") + table("", NM + 5.0, R, separator=" "), "go back from 700 to 405 nm"),
+        (table("", NM[::-1], R, separator=" ") + table("", NM[::-1] + 5.0, R, separator=" "), "back from 400 to 705"),
+        (table("nm;R", [400.0, *NM], [0.1, *R], separator=";"), "wavelength 400 nm twice, expected one spectrum"),
+        (table("Wavelength (um);R", NM, R, separator=";"), r"nm, as the head 'Wavelength .um.' says, expected 100 to"),
+        (table("", NM, R, above=ECOSTRESS.replace("Reflectance (", "Transmittance (")), "columns Transmittance"),
         (perkin_elmer("A", R), "columns A: expected exactly one of reflectance"),
         (argyll("EMISSION", 1.0, R), "columns emission: expected exactly one of reflectance"),
         (argyll("REFLECTIVE", 1.0, R[1:]), "6 values of 7 bands"),

@@ -252,6 +252,71 @@ def test_cxf_increments_that_contradict_the_last_wavelength_are_refused(files, t
         registry.read_readings(path)
 
 
+@pytest.mark.parametrize(
+    ("count", "attributes", "last_nm", "words"),
+    [
+        (31, 'StartWL="400"', 700.0, "no Increment of wavelengths is stated: taken as 10 nm, up to 700 nm"),
+        (39, 'StartWL="400"', 780.0, "no Increment of wavelengths is stated: taken as 10 nm, up to 780 nm"),
+        (31, 'StartWL="400" EndWL="1000"', 1000.0, None),
+        (61, 'StartWL="400" EndWL="700"', 700.0, None),
+        (61, 'StartWL="400" Increment="5"', 700.0, None),
+        (61, 'StartWL="400" Interval="10"', 1000.0, None),
+    ],
+)
+def test_cxf_increments_are_stated_or_noted(count, attributes, last_nm, words, tmp_path):
+    text = cxf_at_45_0({"A": 0.5}).replace('StartWL="400"', attributes)
+    (tmp_path / "a.cxf").write_text(text.replace(" ".join(["0.5"] * 4), " ".join(["0.5"] * count)))
+    found = registry.read_readings(tmp_path / "a.cxf")
+    assert found.bands.wavelengths_nm[0] == 400.0
+    assert found.bands.wavelengths_nm[-1] == pytest.approx(last_nm)
+    assert (words in found.notes) if words else (found.notes == ())
+
+
+def test_cxf_wavelengths_beyond_light_need_an_increment(tmp_path):
+    """They were taken as 400 to 1000 nm, without a note."""
+    text = cxf_at_45_0({"A": 0.5})
+    (tmp_path / "a.cxf").write_text(text.replace(" ".join(["0.5"] * 4), " ".join(["0.5"] * 61)))
+    with pytest.raises(
+        FileFormatError, match=r"61 values from 400 nm without an Increment, .* end at 1000 nm"
+    ):
+        registry.read_readings(tmp_path / "a.cxf")
+
+
+def cxf_objects(*objects: tuple[str, dict[str, str], str]) -> str:
+    """Objects named red, of a type, with tags, at a geometry."""
+    items = "".join(
+        f'<Object ObjectType="{kind}" Name="red"><ColorValues><ReflectanceSpectrum Name="{geometry}" StartWL="400" '
+        f'Increment="100">0.{k} 0.2 0.3 0.4</ReflectanceSpectrum></ColorValues><TagCollection Name="t">'
+        + "".join(f'<Tag Name="{name}" Value="{value}"/>' for name, value in tags.items())
+        + "</TagCollection></Object>"
+        for k, (kind, tags, geometry) in enumerate(objects, start=1)
+    )
+    return (
+        '<CxF xmlns="http://colorexchangeformat.com/CxF3-core"><Resources><ObjectCollection>'
+        f"{items}</ObjectCollection></Resources></CxF>"
+    )
+
+
+def test_cxf_types_and_tints_tell_objects_apart(tmp_path):
+    """Objects of one name at different geometries were joined; tints were listed as texture."""
+    path = tmp_path / "a.cxf"
+    path.write_text(cxf_objects(("Standard", {}, "45as15"), ("Trial", {}, "45as45"), ("Trial", {}, "45as15")))
+    found = {one.name: len(one) for one in registry.read_all(path)}
+    assert found == {"red: Standard": 1, "red: Trial": 2}
+    tints = [{"Tint": tint, "Background": "Black", "Graininess": "3"} for tint in ("0", "100")]
+    path.write_text(
+        cxf_objects(
+            *(("Target", tags, geometry) for tags, geometry in zip(tints, ("45as15", "45as45"), strict=True))
+        )
+    )
+    solid, ink = registry.read_all(path)
+    assert [one.name for one in (solid, ink)] == [
+        "red: Tint 0, Background Black",
+        "red: Tint 100, Background Black",
+    ]
+    assert (ink.texture["t"], ink.notes) == ({"Graininess": "3"}, ("Tint 100, Background Black",))
+
+
 def lighttools_file(path, brdf) -> None:
     """Write a table of a BRDF in the bands of a Mini-Diff, without the package's comment on the light's azimuth."""
     degrees = ([0.0, 20.0, 40.0, 60.0], [180.0], np.arange(0.0, 90.0, 5.0), np.arange(0.0, 360.0, 30.0))

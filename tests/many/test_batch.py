@@ -14,6 +14,7 @@ from helpers.small_library import small_model
 
 from manifold.analytic.base import Lambert
 from manifold.analytic.virtual_instruments import MA_T12_BANDS, write_ma_t12
+from manifold.cli.main import run as cli
 from manifold.core.errors import ManifoldError, UsageError
 from manifold.estimate.inputs import Input, find_inputs, find_samples
 from manifold.estimate.instruments import calibrate
@@ -181,6 +182,31 @@ def test_files_of_different_samples_are_not_merged(tmp_path, rng):
         workbook(tmp_path / f"{name}.xlsx", name, rng)
     samples = find_samples([tmp_path / "*.xlsx"])
     assert [(s.name, len(s.parts), s.note) for s in samples] == [("blue", 1, None), ("red", 1, None)]
+
+
+def test_every_file_with_a_suffix_of_readings_has_a_row(tmp_path, rng):
+    """Damaged workbooks, tables with an unknown head and links to nothing were left out without a word."""
+    readings, out = tmp_path / "readings", tmp_path / "out"
+    readings.mkdir()
+    workbook(readings / "red.xlsx", "red", rng)
+    damaged = {"cut.xlsx": (readings / "red.xlsx").read_bytes()[:3000], "red.XLS": b"junk", "empty.cxf": b""}
+    damaged["heads.csv"] = b"AOI,AOR,BRDF\n30,30,0.5\n"
+    for name, content in damaged.items():
+        (readings / name).write_bytes(content)
+    (readings / "gone.xlsx").symlink_to(readings / "nowhere")
+    others = {"notes.txt": "notes", "~$red.xlsx": "lock", "._red.xlsx": "fork", "a.csv": "name,file,L\n"}
+    for name, content in others.items():
+        (readings / name).write_text(content)
+    with pytest.raises(SystemExit, match="1"):
+        cli(["complete", str(readings), "-o", str(out)])
+    with (out / "completions.csv").open(newline="") as table:
+        rows = {row["name"]: row["failed"] for row in csv.DictReader(table)}
+    assert sorted(rows) == sorted(["red", *damaged, "gone.xlsx"])
+    assert [name for name, failure in rows.items() if not failure] == ["red"]
+    with pytest.raises(SystemExit, match="1"):
+        cli(["convert", str(readings), "-o", str(tmp_path / "tables"), "--format", "csv"])
+    with (tmp_path / "tables" / "conversions.csv").open(newline="") as table:
+        assert sum(bool(row["failed"]) for row in csv.DictReader(table)) == len(damaged) + 1
 
 
 def test_two_files_of_one_name_and_instrument_stay_apart_and_say_so(tmp_path, rng):

@@ -1,0 +1,83 @@
+"""Notes on records whose values or directions are probably not what their file calls them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from manifold.core.directions import cos_from_mirror
+from manifold.core.names import percent
+from manifold.core.records import Array
+from manifold.formats.dense import DenseTable
+from manifold.formats.light_side import with_light_side_note
+from manifold.formats.readings import Assumption, Readings
+from manifold.formats.values import is_diffuse, is_too_bright
+
+_MANY_NEGATIVE = 0.3  # of the values
+_LARGE_NEGATIVE = 0.1  # of the sum of sizes, away from the mirror direction
+_NEAR_MIRROR = np.cos(np.deg2rad(10.0))
+_DARK = 0.5  # of the brightness elsewhere, near the mirror direction: at least 1.08 for 20 real materials
+_RADIANS = np.deg2rad(0.5 * np.pi + 0.03)  # a right angle in radians, read as degrees, and its rounding
+
+
+def with_doubts(record: Readings | DenseTable) -> Readings | DenseTable:
+    """Return the record with notes on negative values, a dark mirror direction, and directions along the normal."""
+    values = record.values.reshape(-1, record.values.shape[-1])
+    if record.bands.is_rgb:  # single channels of colours outside sRGB are negative
+        values = values.mean(axis=1, keepdims=True)
+    if isinstance(record, DenseTable):
+        return replace(record, notes=(*record.notes, *_on_negative(values, 0.0)))
+    near = cos_from_mirror(record.wi, record.wo) > _NEAR_MIRROR
+    off = np.nan_to_num(values[~near])
+    large = float(np.maximum(-off, 0.0).sum() / max(np.abs(off).sum(), np.finfo(float).tiny))
+    notes = _on_negative(values, large)
+    elevation = float(np.arccos(np.clip(min(record.wi[:, 2].min(), record.wo[:, 2].min()), 0.0, 1.0)))
+    if 0.0 < elevation < _RADIANS:
+        notes.append(
+            Assumption(
+                f"all directions are within {np.rad2deg(elevation):.3g} degrees of the normal: are the angles radians?"
+            )
+        )
+    median = np.median(record.values, axis=1, keepdims=True)
+    if is_too_bright(record.wi, record.wo, median):
+        times = np.pi * float(np.nanmedian(median[is_diffuse(record.wi, record.wo)]))
+        notes.append(
+            Assumption(
+                f"{times:.3g} times as bright as a perfect diffuser, away from the mirror direction: check the unit"
+            )
+        )
+    noted = with_light_side_note(record)
+    if noted is record:
+        notes += _on_mirror(values[near], values[~near])
+    return replace(noted, notes=(*noted.notes, *notes)) if notes else noted
+
+
+def _on_negative(values: Array, large: float) -> list[str]:
+    """Return a note if more values (n, B) are negative than noise explains; `large` is their share in the sum."""
+    measured = values[np.isfinite(values)]
+    share = float(np.mean(measured < 0.0)) if measured.size else 0.0
+    if share < _MANY_NEGATIVE and large < _LARGE_NEGATIVE:
+        return []
+    return [
+        Assumption(
+            f"{percent(share)} of the values are negative, more than noise explains: are they densities "
+            "(logarithms), or was a baseline subtracted?"
+        )
+    ]
+
+
+def _on_mirror(near: Array, off: Array) -> list[str]:
+    """Return a note if values (n, B) near the mirror direction are below those elsewhere."""
+    if not np.any(np.isfinite(near)) or not np.any(np.isfinite(off)):
+        return []
+    bright, usual = float(np.nanmedian(near)), float(np.nanmedian(off))
+    if usual <= 0.0 or bright >= _DARK * usual:
+        return []
+    found = "negative" if bright < 0.0 else f"{bright / usual:.2g} times as bright as elsewhere"
+    return [
+        Assumption(
+            f"the mirror direction is {found}, where materials are brightest: are the values densities (logarithms), "
+            "or azimuths not counted from the light?"
+        )
+    ]

@@ -34,7 +34,7 @@ from manifold.estimate.inputs import safe_name
 from manifold.estimate.lamp_plan import LampPlan, plan_lamps
 from manifold.estimate.left_out_readings import LeftOutReadings, left_out_readings
 from manifold.estimate.picture_colours import with_picture_colours
-from manifold.estimate.sightings import PhotoRequest, SeenBall, see
+from manifold.estimate.sightings import PhotoRequest, SeenBall, have_own_exposures, see
 from manifold.estimate.solving import CONTRADICTION, Seen
 from manifold.estimate.suggestions import Suggested, directions_left, suggest
 from manifold.formats.readings import (
@@ -452,8 +452,9 @@ def observe(
     else:
         channels = Channels.of_library(library, atoms.names, pictures.responses)
         completion = Completion.of(
-            atoms.in_values, seen, exposure=pictures.exposure, each=pictures.each, channels=channels
-        )
+            atoms.in_values, seen, exposure=pictures.exposure, each=have_own_exposures(pictures, balls),
+            channels=channels,
+        )  # fmt: skip
     stages.begin("expected error")
     return completion, calibrate(completion.atoms, completion.exposed, library), balls
 

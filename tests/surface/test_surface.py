@@ -357,7 +357,10 @@ def test_a_folder_of_pictures_and_a_table_of_lamps_are_read(rng, tmp_path):
     with pytest.raises(UsageError, match="found 2 lamps for 3 pictures"):
         read_folder(files, lamps)
     lamps.write_text("1 0 1\n0 1 1\n0 0 -1\n")
-    with pytest.raises(UsageError, match="z above 0"):
+    with pytest.raises(UsageError, match=r"^2\.png .*: the lamp is behind the surface, expected z above 0"):
+        read_folder(files, lamps)
+    lamps.write_text("1 0 1\n0 1 0\n1 0 -1\n")
+    with pytest.raises(UsageError, match=r"^1\.png .*, 2\.png .*: the lamp is behind the surface"):
         read_folder(files, lamps)
 
 

@@ -142,7 +142,9 @@ class Completed(Result):
 
     @property
     def fault(self) -> str | None:
-        """Reason to doubt the values: the material is too bright or too dark; None if it is neither."""
+        """Reason to doubt the values: contradicting observations, or a material that is too bright or too dark."""
+        if self.completion.solution.contradiction > CONTRADICTION:
+            return "readings and photographs contradict each other; check that both show the same material"
         what = "readings" if _unit(self._readings) is None else "unit of the readings (--unit)"
         if self.completion.is_too_dark:
             return f"darker than all materials of the library; check the {what}"
@@ -401,8 +403,8 @@ class Photographed(Completed):
     @property
     @derived(row="residual", columns={"residual": ()}, words=lambda result: result.residuals_in_words())
     def residual(self) -> float:
-        """Residual of all pixels and readings, in cube roots."""
-        return self.completion.residual
+        """Residual of the pixels as they were given, in cube roots, root mean square over pictures."""
+        return self.completion.solution.residual_of_pixels
 
     @property
     def balls_with_residuals(self) -> list[tuple[SeenBall, float, float | None]]:

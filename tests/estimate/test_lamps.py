@@ -19,6 +19,7 @@ from manifold.core.metrics import Errors
 from manifold.core.records import Bands
 from manifold.estimate import Completion, lamp_plan
 from manifold.estimate.completions import Photographed, odd_pictures
+from manifold.estimate.expected import calibrate
 from manifold.estimate.lamp_plan import plan_lamps
 from manifold.estimate.lamps import (
     Lamp,
@@ -476,6 +477,26 @@ def test_a_picture_that_contradicts_readings_counts_less(photo_atoms):
         np.cbrt(brdf.eval(readings.wi, readings.wo)[:, 0]).mean() for brdf in (wrong.brdf, PAINT, other)
     )
     assert abs(made - read) < 0.2 * abs(made - picture)
+
+
+def test_the_residual_of_pixels_that_contradict_readings_is_that_of_the_picture_as_given(photo_atoms):
+    other = Plastic(GGX.isotropic(0.2), np.array(1.5), np.array([0.05, 0.04, 0.5]), Bands(None))
+    balls = [
+        SeenBall(photograph(d), CIRCLE, None, s)
+        for d, s in zip(DIRECTIONS, sightings_of(DIRECTIONS, [1.0] * 3), strict=True)
+    ]
+    for count in (1, 3):
+        seen = [ball.sighting for ball in balls[:count]]
+        found = Completion.of(photo_atoms, [*seen, readings_of(other)])
+        made = Photographed(path=None, completion=found, balls=tuple(balls[:count]), expected=Errors())
+        of_pictures = [row["residual"] for row in made.photographs]
+        assert min(of_pictures) > 0.3  # the materials differ
+        assert made.residual == pytest.approx(np.sqrt(np.mean(np.square(of_pictures))))
+        assert made.rows["residual"][0].startswith(f"{100 * made.residual:.1f} % of the pixels")
+        assert "contradict" in made.advice
+        alike = Completion.of(photo_atoms, [*seen, readings_of(PAINT)])
+        calibration = calibrate(photo_atoms, found.exposed)
+        assert calibration.expected(found).ball > 2.0 * calibration.expected(alike).ball
 
 
 def test_lamps_have_unknown_strengths_unless_a_card_or_an_exposure_says_more():

@@ -28,6 +28,7 @@ _MOST_SHIFT_PX = 2.0
 _SHIFT_STEP_PX = 0.05
 _LEAST_CORRELATION = 0.3  # of fine detail between two channels, to register them
 _HALF_CODE = 0.5 / 255.0
+_ABOVE = float(np.cos(np.deg2rad(1.0)))  # least cosine of a camera above the sample
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +62,11 @@ class SurfacePictures:
     def is_diffuse(self) -> Mask:
         """Mask of the pictures in diffuse light, shape (J,)."""
         return np.isnan(self.lamps[:, 0])
+
+    @property
+    def is_from_above(self) -> bool:
+        """Whether the camera looks along the normal."""
+        return bool(self.camera[2] > _ABOVE)
 
     def without(self, picture: int) -> SurfacePictures:
         """Return the pictures without the one with this index."""

@@ -124,6 +124,36 @@ def test_lamps_are_found_whatever_the_material(brdf, number, limit_deg):
         assert off < 2.0 * deviation
 
 
+@pytest.mark.parametrize("direction", [[0.1, 0.2, 1.0], [0.5, 0.4, 0.8], [-0.6, 0.2, 0.3], [0.9, -0.1, 0.15]])
+@pytest.mark.parametrize("roughness", [0.08, 0.2])
+def test_the_outline_of_a_black_ball_is_not_that_of_its_highlight(direction, roughness):
+    black = Plastic(GGX.isotropic(roughness), np.array(1.5), np.full(3, 0.01), Bands(None))
+    values = lamp_picture(black, Camera(), [Lamp.towards(direction)], 200, 0.5)
+    values /= np.quantile(values, 0.995)
+    picture = Photograph(
+        Path("black"), np.minimum(values, 1.0).astype(np.float32), (values > 1.0).any(axis=2)
+    )
+    found = find_light([picture])
+    assert found.circle.radius == pytest.approx(200 / 3, rel=0.06)
+    assert np.hypot(found.circle.x - 100.0, found.circle.y - 100.0) < 4.0
+    off = found.lamps[0].degrees_from(Lamp.towards(direction))
+    assert off < min(2.0 * found.lamp_deg[0], 8.0)
+
+
+@pytest.mark.parametrize("brdf", [MATTE, GLOSSY])
+@pytest.mark.parametrize("count", [1, 3])
+def test_the_uncertainty_of_lamps_covers_an_encoding_that_pictures_do_not_settle(brdf, count):
+    directions = np.array([[0.7, 0.3, 0.5], [-0.3, 0.6, 0.7], [0.2, -0.5, 0.8]])
+    for first in range(0, 3, count):
+        some = directions[first : first + count]
+        pictures = [
+            stored(brdf, direction, lambda values: values) for direction in some
+        ]  # linear, read as sRGB
+        probe, _ = doubt_encoding(pictures, find_light(pictures))
+        for lamp, direction, deviation in zip(probe.lamps, some, probe.lamp_deg, strict=True):
+            assert lamp.degrees_from(Lamp.towards(direction)) < 2.0 * deviation
+
+
 def stored(brdf, direction, codes_of):
     """A picture whose 8-bit codes are a function of the values, read as sRGB."""
     values = lamp_picture(brdf, Camera(), [Lamp.towards(direction)], SIZE, MARGIN)
@@ -396,7 +426,7 @@ def test_a_ball_lit_from_one_side_keeps_its_outline_or_it_is_doubted():
     for direction in ([0.8, 0.2, 0.5], [-0.5, 0.6, 0.6], [0.0, -0.9, 0.4]):
         best, *_ = outlines_in([photograph(direction)])
         off = np.hypot(best.circle.x - CIRCLE.x, best.circle.y - CIRCLE.y) / CIRCLE.radius
-        assert off < 0.02 or best.notes
+        assert off < 1.0 / CIRCLE.radius or best.notes  # a pixel
 
 
 def sightings_of(directions, gains):

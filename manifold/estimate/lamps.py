@@ -180,7 +180,7 @@ def _intensities(path: Path, count: int) -> list[Array]:
     rows = list_rows(_lines(path, "name a text of intensities"))
     if len(rows) != count:
         raise FileFormatError(f"{path}: found {len(rows)} lines, expected {count}, one for each direction")
-    found = []
+    found: list[Array] = []
     for n, cells in rows:
         values = [number(cell) for cell in cells]
         if len(values) not in (1, 3) or not all(value is not None and value > 0.0 for value in values):

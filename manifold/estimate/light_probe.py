@@ -33,7 +33,9 @@ _NOISE = 0.03  # error of cube roots, relative to the picture's largest, from wh
 _LEAST_NOISE = 0.005  # of the smoothest materials
 _ROBUST = 2.0  # residuals, in units of that, that count less than in proportion
 _LARGEST_RESIDUAL = 0.12  # relative error of cube roots beyond which no lamp explains a picture
-_MODEL_DEG = 2.5  # error of the shading model: on a real ball 0 against a mirror ball's lamps, 2.9 against stated ones
+_MODEL_DEG = (
+    2.5  # error of the shading model: on a real ball 0 against a mirror ball's lamps, 2.9 against stated ones
+)
 _TOGETHER = 12  # pictures that are fitted together; of more, some evenly spaced
 _DOUBTED_DEG = 10.0  # least doubtful angle; lamps are found within 7 degrees in pictures of a matte ball
 _LINEAR_RESIDUAL = 0.035  # largest residual of linear codes that explains pictures well

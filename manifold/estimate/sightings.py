@@ -54,7 +54,7 @@ _MOST_BRIGHT = 1.2  # a perfect diffuser has 1 where it faces the lamp: a quarte
 _LEAST_COSINE = 0.05  # least cosine of a grey card's angle to its lamp
 _HIGHLIGHT_DEG = 15.0  # largest angle of a highlight's half vector from the normal
 _DIFFERENCES_DEG = np.arange(0.0, 91.0, 15.0)  # edges of bins of angles between directions and half vector
-_LEAST_LIGHT = 1e-5  # mean light on a ball; 0.09 under a lamp at the camera
+_LEAST_LIGHT = 1e-3  # mean light: 0.1 under a lamp at the camera, 1e-4 on a cylinder straight below a lamp
 _MOST_OUTSIDE = 0.02  # share of a mirror ball outside its picture, where an outline touches the edge
 _UNLIT = 0.02  # share of a pixel's light below which nothing is learned
 
@@ -262,9 +262,7 @@ def _under_lamps(
         own = photograph.notes + notes + doubts
         if apart is None and not isinstance(circle, Cylinder):
             own += given_lamp_notes(photograph, circle, lamp)
-        if (
-            np.mean(sighting.pairs[2] / lamp.colour) < _LEAST_LIGHT
-        ):  # such as a cylinder's, straight from above
+        if np.mean(sighting.pairs[2] / lamp.colour) < _LEAST_LIGHT:
             raise UsageError(
                 f"{photograph.path}: a lamp at {lamp} lights no part of the ball that the camera sees, expected one in "
                 "front of it: x to the right, y up, z to the camera"

@@ -72,7 +72,7 @@ def fit_lambertian(pictures: SurfacePictures) -> LambertianFit:
     for first in range(0, H * W, _BLOCK):
         part = slice(first, first + _BLOCK)
         relative = _relative(values[:, part], means)
-        weights = np.ones(relative.shape[:2])
+        weights: Array = np.ones(relative.shape[:2])
         for spread in rounds:
             grey = relative @ spread.of_channel
             level, slope[part], covariance = _solve(grey, design, weights, spread)
@@ -119,7 +119,8 @@ class _Spread(NamedTuple):
 
 def _rounds(relative: Array, design: Array, noise: Array) -> list[_Spread]:
     """Return the spreads of each round of a fit to some points (P, J, 3), which every point repeats."""
-    weights, rounds = np.ones(relative.shape[:2]), [_Spread(noise, _NO_PRIOR, np.full(3, 1.0 / 3.0))]
+    weights: Array = np.ones(relative.shape[:2])
+    rounds = [_Spread(noise, _NO_PRIOR, np.full(3, 1.0 / 3.0))]
     while len(rounds) < _ROUNDS:
         spread = rounds[-1]
         grey = relative @ spread.of_channel

@@ -134,7 +134,7 @@ def read_folder(pictures: Sequence[Path], lamps: Path) -> SurfacePictures:
             towards the camera.
 
     Raises:
-        UsageError: the numbers of lamps and pictures differ, or a lamp is below the surface.
+        UsageError: the numbers of lamps and pictures differ, or a lamp is not in front of the surface.
         FileFormatError: a line is not a direction, or the sizes of the pictures differ.
     """
     names = tuple(path.name for path in pictures)

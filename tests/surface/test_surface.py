@@ -8,7 +8,18 @@ import numpy as np
 import pytest
 from PIL import Image
 from scipy.ndimage import label
-from surface_twins import BORDER, CAPTIONS, SIZE, photographed, rendered, rough, truth, workbook
+from surface_twins import (
+    BORDER,
+    CAPTIONS,
+    SIZE,
+    lamps_around,
+    matte,
+    photographed,
+    rendered,
+    rough,
+    truth,
+    workbook,
+)
 
 from manifold.colour.picture_files import read_picture
 from manifold.core.errors import FileFormatError, UsageError
@@ -58,25 +69,6 @@ def test_lamps_around_a_sample_show_both_slopes(rng):
     )
     for axis in range(2):
         assert np.corrcoef(found.slope[..., axis].ravel(), slope[..., axis].ravel())[0, 1] > 0.99
-
-
-def lamps_around(count, angle_deg):
-    """Return lamps (J, 3) at one angle from the normal, at equal distances."""
-    azimuth, angle = 0.3 + np.arange(count) * 2.0 * np.pi / count, np.deg2rad(angle_deg)
-    across = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
-    return np.column_stack([np.sin(angle) * across, np.full(count, np.cos(angle))])
-
-
-def matte(rng, slope, lamps, *, noise=0.0, albedo=None, strengths=1.0):
-    """Pictures of a Lambertian surface from above, without shadows of one point on another."""
-    normal = np.concatenate([slope, np.ones((*slope.shape[:2], 1))], axis=-1)
-    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    lit = np.maximum(np.einsum("hwk,jk->jhw", normal, lamps), 0.0)[..., None]
-    values = lit * (np.array([0.5, 0.3, 0.2]) if albedo is None else albedo)
-    values = values * np.broadcast_to(strengths, len(lamps))[:, None, None, None]
-    values = np.maximum(values * np.exp(noise * rng.standard_normal(values.shape)), 1e-4)
-    unknown = np.full((len(lamps), 3), np.nan)
-    return SurfacePictures("matte", values, lamps, np.array([0.0, 0.0, 1.0]), ("",) * len(lamps), unknown)
 
 
 def steepness(found, slope):

@@ -3,12 +3,16 @@
     python benchmarks/bench_lamps.py --set FOLDER --library library.zarr     # gray/*.png, chrome/*.png, lights.txt
     python benchmarks/bench_lamps.py --files FOLDER --library library.zarr   # .bsdf files, rendered by Mitsuba
     python benchmarks/bench_lamps.py --files FOLDER --library library.zarr --wrong --expected --together
+    python benchmarks/bench_lamps.py --stated --set FOLDER --files FOLDER    # only the uncertainty of lamps
 
 A set is one of photometric stereo: pictures of a ball under lamps of known directions. Lamps are found in one, three,
 five pictures of it, and the others predicted; each may have a gain, and is compared in display values within the ball.
 
 Files are photographed in a dark room: 8-bit JPEG of random gain, the ball off the middle. What is found without the
 file is compared as a ball in the judged lights. The analytic fits see the same pixels and the true lamps.
+
+`--stated` holds the stated uncertainty of lamps to their errors: how many lie within it, within twice, and the rank
+correlation, by number of pictures; for files also if the codes are linear but read as sRGB.
 
 Pictures in which no lamp is found are refused, and the message asks for the lamps. `with_refused` gives them the error
 of the same pictures with the lamps given, so that these rows are over all files.
@@ -61,6 +65,7 @@ FAMILIES = ("lambertian", "principled")
 COUNTS = {"sun": (1, 2, 3, 5, 8), "torch": (1, 3), "flash": (1,)}
 FITTED = (1, 3)  # numbers of pictures to which `principled` is fitted
 SET_COUNTS = (1, 3, 5)
+STATED = (1, 3)  # numbers of pictures whose lamps are held to their stated uncertainty
 DISTANCE = 10.0  # radii: a torch 40 cm from a ball of 8 cm
 ASIDE = ", brightness aside"  # of what is found under an unknown exposure
 SIZE, RADIUS = 240, 80.0  # pixels
@@ -258,6 +263,62 @@ def _analytic(name: str, seen: Sequence[Sighting], scales: Sequence[float]) -> F
     return FittedBRDF.of(made.family, made.values, made.bands, made.spectra, 0.0)
 
 
+# -- stated uncertainties ---------------------------------------------------------------------------------------------
+
+
+def stated(folder: Path | None, files: Sequence[Path], path: Path | None) -> None:
+    """Print and write how far lamps are off beside their stated uncertainty."""
+    pairs: dict[str, list[tuple[float, float]]] = {}
+    if folder is not None:
+        known = read_lamps(folder / "lights.txt")
+        mirrored = _mirrored(folder / "chrome", len(known))
+        pictures = [folder / "gray" / f"gray.{k}.png" for k in range(len(known))]
+        rng = np.random.default_rng(7)
+        for count in SET_COUNTS:
+            for _ in range(6):
+                some = np.sort(rng.choice(len(pictures), count, replace=False)).tolist()
+                for name, lamps in (("stated lamps", known), ("mirror ball", mirrored)):
+                    pairs.setdefault(f"set, {name}, {count}", []).extend(
+                        _stated([pictures[k] for k in some], [lamps[k] for k in some], is_linear=True)
+                    )
+    for file in files:
+        with TemporaryDirectory() as made:
+            for is_linear in (False, True):
+                taken = _photographed(file, "sun", Path(made), is_linear=is_linear)
+                for count in STATED:
+                    for first in range(0, len(taken) - count + 1, count):
+                        some = taken[first : first + count]
+                        name = f"{'linear codes read as sRGB' if is_linear else 'files'}, {count}"
+                        pairs.setdefault(name, []).extend(
+                            _stated([one.path for one in some], [one.lamp for one in some])
+                        )
+        print(file.stem, flush=True)
+    found = {}
+    for name, of in pairs.items():
+        off, said = np.array(of).reshape(-1, 2).T
+        found[name] = {
+            "lamps": len(off), "off": [float(np.median(off)), float(np.percentile(off, 90)), float(off.max())],
+            "stated": float(np.median(said)), "within_once": float(np.mean(off <= said)),
+            "within_twice": float(np.mean(off <= 2.0 * said)), "rank": float(spearmanr(off, said).statistic),
+        }  # fmt: skip
+        print(name, json.dumps(found[name]))
+    if path is not None:
+        path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+
+def _stated(
+    pictures: Sequence[Path], lamps: Sequence[Lamp], *, is_linear: bool = False
+) -> list[tuple[float, float]]:
+    """Errors of lamps and their stated uncertainties, in degrees; none where no lamp is found."""
+    try:
+        balls = see(PhotoRequest(pictures, lamps=["found"], is_linear=is_linear))
+    except ManifoldError:
+        return []
+    return [
+        (_apart(ball.lamps[0], lamp), ball.lamp_deg or 0.0) for ball, lamp in zip(balls, lamps, strict=True)
+    ]
+
+
 # -- rendered files ---------------------------------------------------------------------------------------------------
 
 
@@ -424,8 +485,8 @@ class Taken:
 CIRCLE = Circle(SIZE / 2 + 9.0, SIZE / 2 - 6.0, RADIUS)
 
 
-def _photographed(path: Path, light: str, folder: Path) -> list[Taken]:
-    """JPEG files of a ball under one lamp each."""
+def _photographed(path: Path, light: str, folder: Path, *, is_linear: bool = False) -> list[Taken]:
+    """JPEG files of a ball under one lamp each, in sRGB, or in linear codes."""
     rng = np.random.default_rng(3)
     taken = []
     for k, direction in enumerate(DIRECTIONS[: 1 if light == "flash" else None]):
@@ -442,7 +503,8 @@ def _photographed(path: Path, light: str, folder: Path) -> list[Taken]:
         gain = min(gain, 0.9 / 0.18)  # the card is not clipped
         noisy = linear * gain * (1.0 + 0.01 * rng.standard_normal(linear.shape))
         file = folder / f"{light}_{k}.jpg"
-        codes = np.rint(255.0 * encode_srgb(np.clip(noisy, 0.0, 1.0))).astype(np.uint8)
+        shown = np.clip(noisy, 0.0, 1.0)
+        codes = np.rint(255.0 * (shown if is_linear else encode_srgb(shown))).astype(np.uint8)
         Image.fromarray(codes).save(file, quality=92, subsampling=0)
         taken.append(Taken(file, lamp, gain))
     return taken
@@ -597,11 +659,11 @@ def cost(library: Path) -> None:
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--library", type=Path, required=True)
+    parser.add_argument("--library", type=Path, help="needed but for --stated")
     parser.add_argument("--set", type=Path)
     parser.add_argument("--files", type=Path)
     parser.add_argument("--every", type=int, default=1)
-    for name in ("--wrong", "--expected", "--together", "--cost"):
+    for name in ("--wrong", "--expected", "--together", "--cost", "--stated"):
         parser.add_argument(name, action="store_true")
     parser.add_argument("--lights", nargs="+", default=list(COUNTS), choices=COUNTS)
     parser.add_argument(
@@ -609,10 +671,16 @@ def main() -> None:
     )
     parser.add_argument("--json", type=Path)
     asked = parser.parse_args()
+    files = sorted(asked.files.glob("*_rgb.bsdf"))[:: asked.every] if asked.files else []
+    if asked.stated:
+        stated(asked.set, files, asked.json)
+        return
+    if asked.library is None:
+        parser.error("--library is needed")
     if asked.set:
         real(asked.set, asked.library)
-    if asked.files:
-        rendered(sorted(asked.files.glob("*_rgb.bsdf"))[:: asked.every], asked.library, asked)
+    if files:
+        rendered(files, asked.library, asked)
     if asked.cost:
         cost(asked.library)
 

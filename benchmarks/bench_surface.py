@@ -15,6 +15,9 @@ Known: reliefs of known BRDF, slopes, colours and flakes are rendered by Mitsuba
 shadows and interreflections, and recovered (`tests/surface/surface_twins.py`); and how much one pixel's roughness is
 determined by its pictures.
 
+Matte: pictures from above of a Lambertian relief with slopes of 0.1, by number and angle of lamps and noise: ratio of
+the slopes to the true ones, their error (RMS), and the error that is stated. `--matte` prints only these.
+
 `--learn` fits the table of `manifold.surface.response`.
 """
 
@@ -288,6 +291,29 @@ def known(size: int = 192) -> dict[str, Any]:
     return found
 
 
+def matte() -> dict[str, Any]:
+    """Reliefs under lamps all round, without readings, and what is recovered of them."""
+    found = {}
+    for count, angle_deg, noise in (
+        (8, 15, 0.0), (8, 30, 0.0), (8, 60, 0.0), (3, 30, 0.0), (8, 30, 0.01), (8, 30, 0.1), (4, 30, 0.02),
+        (3, 30, 0.05), (12, 50, 0.03),
+    ):  # fmt: skip
+        rng = np.random.default_rng(3)
+        _, slope = twins.truth(rng, (160, 160))
+        colour = np.array([0.5, 0.3, 0.2]) * np.exp(0.15 * twins.rough(rng, (160, 160)))[..., None]
+        pictures = twins.matte(rng, slope, twins.lamps_around(count, angle_deg), noise=noise, albedo=colour)
+        made = estimate_surface(pictures)
+        row = {
+            "steepness": float(np.polyfit(slope.ravel(), made.slope.ravel(), 1)[0]),
+            "slope_rms": float(np.sqrt(np.mean((made.slope - slope) ** 2))),
+            "slope_rms_stated": float(np.sqrt(np.mean(made.slope_std**2))),
+            "albedo_log_std": float(np.std(np.log(made.albedo / (colour / colour.mean(axis=(0, 1)))))),
+        }
+        found[f"{count} lamps at {angle_deg} degrees, noise {noise:g}"] = row
+        print(count, angle_deg, noise, json.dumps(row), flush=True)
+    return found
+
+
 def _textured(rng: np.random.Generator, size: int) -> Array:
     shades, hues = (twins.rough(rng, (size, size))[..., None] for _ in range(2))
     return np.exp(0.15 * shades + 0.08 * hues * np.array([1.0, 0.0, -1.0]))
@@ -375,15 +401,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("library", type=Path, nargs="?", help="of measured materials, to complete readings")
     parser.add_argument("--learn", action="store_true")
+    parser.add_argument("--matte", action="store_true")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
+    if options.matte:
+        matte()
+        return
+    if options.folder is None:
+        parser.error("a folder of workbooks is needed")
     if options.learn:
         learn(options.folder)
         return
-    summary: dict[str, Any] = {"known": known()}
+    summary: dict[str, Any] = {"known": known(), "matte": matte()}
     if options.library:
         summary["rendered"] = rendered(options.folder, options.library)
         summary["hidden"] = hidden(options.folder, options.library)

@@ -38,8 +38,9 @@ class PhotoOptions:
         typer.Option(
             "--lamp",
             help="The direction of the one lamp: right, up, towards the camera, and its distance in radii of the ball "
-            "if it is near; flash, at the camera; a file with one line per picture; or found, estimated from the "
-            "pictures, with its distance if it is near. Once, or once per picture.",
+            "if it is near; flash, at the camera; a file with one line per picture, X Y Z and the intensity in one or "
+            "three channels if known; or found, estimated from the pictures, with its distance if it is near. Once, or "
+            "once per picture.",
             metavar="X,Y,Z[,D]|flash|FILE|found[,D]",
         ),
     ] = None
@@ -67,7 +68,8 @@ class PhotoOptions:
             "--exposure",
             help="Exposure of the pictures relative to the light, or to a white diffuser that faces the lamp; free: "
             "unknown, equal for all pictures; each: unknown, different per picture (or lamps of unknown strength).  "
-            f"[default: each for lamps without a grey card, else {_AS_THE_LIGHT}]",
+            "[default: each for lamps without a grey card, free if their file has intensities, else "
+            f"{_AS_THE_LIGHT}]",
             metavar="E|free|each",
             rich_help_panel=TAKEN,
         ),
@@ -174,7 +176,8 @@ class PhotoOptions:
             for text in given or ()
         ):
             raise UsageError("expected --circle X,Y,R, or --cylinder X,Y,R,H")
-        exposure = self.exposure or ("each" if self.lamp and self.grey is None else _AS_THE_LIGHT)
+        is_unknown = self.exposure is None and bool(self.lamp) and self.grey is None
+        exposure = self.exposure or ("each" if is_unknown else _AS_THE_LIGHT)
         try:
             known = None if exposure == "free" or (exposure == "each" and self.grey is None) else 1.0
             if exposure not in ("free", "each"):
@@ -186,7 +189,8 @@ class PhotoOptions:
         far = float("inf") if self.distance is None else self.distance
         return PhotoRequest(
             list(pictures), self.light or (), self.cylinder or self.circle or (), self.turn or (0.0,), self.elevation,
-            far, known, self.camera, self.lamp or (), exposure == "each", self.grey, self.linear, self.dark,
+            far, known, self.camera, self.lamp or (), None if is_unknown else exposure == "each", self.grey,
+            self.linear, self.dark,
             self.light_ball or (),
         )  # fmt: skip
 

@@ -368,13 +368,14 @@ class Completion:
 
     @cached_property
     def residual(self) -> float:
-        """Relative cube-root error of the observations.
+        """Relative cube-root error of the observations as they were given, whatever their weights in the fit.
 
-        If there are pictures, it covers all pixels and readings. Otherwise it is the root mean square over the
-        readings, of the completion or of the mixtures from which it was made, whichever is larger.
+        If there are pictures, it is the error of their pixels, of the readings or of the gloss, whichever is largest.
+        Otherwise it is the root mean square over the readings, of the completion or of the mixtures from which it was
+        made, whichever is larger.
         """
         if self.evidence.pictures:
-            return float(np.sqrt(np.mean(self.solution.errors**2)))
+            return self.solution.residual
         return max(self.residual_of_readings, self.residual_of_mixtures)
 
     def factors_at(self, wi: Array, wo: Array) -> Array:
@@ -614,14 +615,15 @@ class Completion:
 
     def _differing_exposures(self) -> list[str]:
         """Say that pictures which were taken as equally exposed agree better with an exposure each."""
-        if self.evidence.each or len(self.evidence.pictures) == 1 or self.residual <= NOISY:
+        together = self.solution.residual_of_pixels
+        if self.evidence.each or len(self.evidence.pictures) == 1 or together <= NOISY:
             return []
         apart = solve_pictures(self.atoms, replace(self.evidence, each=True))
-        residual, gains = float(np.sqrt(np.mean(apart.errors**2))), relative(apart.exposures)
-        if residual > _MUCH_LESS * self.residual:
+        residual, gains = apart.residual_of_pixels, relative(apart.exposures)
+        if residual > _MUCH_LESS * together:
             return []
         return [
-            f"the pixels have a residual of {100.0 * self.residual:.2g} % with one exposure for all pictures, and of "
+            f"the pixels have a residual of {100.0 * together:.2g} % with one exposure for all pictures, and of "
             f"{100.0 * residual:.2g} % with {gains.min():.2g} to {gains.max():.2g} times their mean: if "
             "the lamp or the camera's settings differed, give --exposure each"
         ]

@@ -34,7 +34,7 @@ from manifold.estimate.inputs import safe_name
 from manifold.estimate.lamp_plan import LampPlan, plan_lamps
 from manifold.estimate.left_out_readings import LeftOutReadings, left_out_readings
 from manifold.estimate.picture_colours import with_picture_colours
-from manifold.estimate.sightings import PhotoRequest, SeenBall, see
+from manifold.estimate.sightings import PhotoRequest, SeenBall, have_own_exposures, see
 from manifold.estimate.solving import CONTRADICTION, Seen
 from manifold.estimate.suggestions import Suggested, directions_left, suggest
 from manifold.formats.readings import (
@@ -142,7 +142,9 @@ class Completed(Result):
 
     @property
     def fault(self) -> str | None:
-        """Reason to doubt the values: the material is too bright or too dark; None if it is neither."""
+        """Reason to doubt the values: contradicting observations, or a material that is too bright or too dark."""
+        if self.completion.solution.contradiction > CONTRADICTION:
+            return "readings and photographs contradict each other; check that both show the same material"
         what = "readings" if _unit(self._readings) is None else "unit of the readings (--unit)"
         if self.completion.is_too_dark:
             return f"darker than all materials of the library; check the {what}"
@@ -401,8 +403,8 @@ class Photographed(Completed):
     @property
     @derived(row="residual", columns={"residual": ()}, words=lambda result: result.residuals_in_words())
     def residual(self) -> float:
-        """Residual of all pixels and readings, in cube roots."""
-        return self.completion.residual
+        """Residual of the pixels as they were given, in cube roots, root mean square over pictures."""
+        return self.completion.solution.residual_of_pixels
 
     @property
     def balls_with_residuals(self) -> list[tuple[SeenBall, float, float | None]]:
@@ -452,8 +454,9 @@ def observe(
     else:
         channels = Channels.of_library(library, atoms.names, pictures.responses)
         completion = Completion.of(
-            atoms.in_values, seen, exposure=pictures.exposure, each=pictures.each, channels=channels
-        )
+            atoms.in_values, seen, exposure=pictures.exposure, each=have_own_exposures(pictures, balls),
+            channels=channels,
+        )  # fmt: skip
     stages.begin("expected error")
     return completion, calibrate(completion.atoms, completion.exposed, library), balls
 

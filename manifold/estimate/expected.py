@@ -22,6 +22,7 @@ from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.completion import NOISY, Completion
 from manifold.estimate.evidence import Evidence, channel_atoms, clipping, nearest_bands
 from manifold.estimate.left_out_readings import LeftOutReadings
+from manifold.estimate.solving import CONTRADICTION
 from manifold.formats.readings import Readings
 from manifold.library.store import Library
 from manifold.model.expected_error import BELOW_TWICE
@@ -85,12 +86,16 @@ class Calibration:
     def expected(self, completion: Completion, left_out: LeftOutReadings | None = None) -> Errors[float]:
         """Return the expected errors of a completion from these observations.
 
-        They are its plausible errors times factors, see `factors`. If the residual is larger than the residual of
-        every left-out material, the errors grow in proportion to it. The ball error also includes the uncertainty of
-        colours that were estimated from three bands or that repeated readings leave open. No error is smaller than
-        the median error with which the other readings predict each reading, if `left_out` is given.
+        They are its plausible errors times factors, see `_factor`. If the residual is larger than the residual of
+        every left-out material, the errors grow in proportion to it. If readings and pictures contradict each other,
+        the factors are those of left-out materials with residuals of contradictions. The ball error also includes the
+        uncertainty of colours that were estimated from three bands or that repeated readings leave open. No error is
+        smaller than the median error with which the other readings predict each reading, if `left_out` is given.
         """
-        found = self.at(plausible_errors(completion), completion.residual)
+        known = np.full(len(self.residuals), True)
+        if completion.solution.contradiction > CONTRADICTION and np.any(self.residuals > CONTRADICTION):
+            known = self.residuals > CONTRADICTION
+        found = self._at(plausible_errors(completion), completion.residual, known)
         if not completion.is_brightness_guessed:
             found = replace(found, scaled_ball=np.nan)
         found = found.beside(Errors(ball=completion.colour_error))
@@ -280,7 +285,7 @@ def _cache_key(atoms: LibraryAtoms, evidence: Evidence, library: Library) -> str
         pairs = np.round(pairs, 6) + 0.0  # + 0.0: no negative zeros
         arrays.append(pairs[np.lexsort(pairs.T)])
     if evidence.pictures:
-        axes += (evidence.exposure is None, evidence.has_gains)
+        axes += (evidence.exposure is None, evidence.has_gains, "residual as given")
     for picture in evidence.pictures:
         for rows in picture:
             arrays += [rows.atoms, rows.weights, np.array(clipping(rows))]

@@ -8,8 +8,9 @@ shows the surrounding light; its clipped spots are treated as lamps.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from scipy.ndimage import label, map_coordinates
@@ -50,12 +51,14 @@ class Lamp:
         distance: distance from the centre of the ball, in radii of the ball.
         colour: relative colour of the light in the channels of the camera, shape (3,).
         radius_deg: angular radius of the disc, seen from the ball.
+        known: what a file states about `colour`: nothing, its strength, or all three channels.
     """
 
     direction: Array
     distance: float = np.inf
     colour: Array = field(default_factory=lambda: np.ones(3))
     radius_deg: float = _RADIUS_DEG
+    known: Literal["", "strength", "colour"] = ""
 
     def __str__(self) -> str:
         at = ",".join(f"{v:.3f}" for v in self.direction)
@@ -66,7 +69,7 @@ class Lamp:
         return float(np.rad2deg(np.arccos(np.clip(self.direction @ other.direction, -1.0, 1.0))))
 
     @classmethod
-    def towards(cls, vector: Array, distance: float = np.inf, colour: Array | None = None) -> Lamp:
+    def towards(cls, vector: Array, distance: float = np.inf) -> Lamp:
         """Return a lamp in a direction (3,) of any length."""
         vector = np.asarray(vector, dtype=np.float64)
         length = float(np.linalg.norm(vector))
@@ -76,16 +79,26 @@ class Lamp:
             raise UsageError(
                 f"a lamp at {distance:g} radii of the ball, expected {LEAST_DISTANCE} to {MOST_DISTANCE:g}, or none"
             )
-        return cls(vector / length, distance, np.ones(3) if colour is None else colour)
+        return cls(vector / length, distance)
+
+    def of_intensity(self, values: Array) -> Lamp:
+        """Return the lamp with an intensity in one or three channels, (1,) or (3,); with (0,), the same lamp."""
+        if not len(values):
+            return self
+        return replace(
+            self,
+            colour=np.broadcast_to(values, (3,)).copy(),
+            known="colour" if len(values) == 3 else "strength",
+        )
 
 
 def parse_lamp(text: str, pictures: Sequence[str] = ()) -> list[Lamp]:
     """Parse lamps from `X,Y,Z`, `X,Y,Z,DISTANCE`, `flash`, or the path of a file, see `read_lamps`."""
     if text == "flash":
         return [Lamp(np.array([0.0, 0.0, 1.0]))]
-    if Path(text).is_file():
-        return read_lamps(Path(text), pictures)
     numbers = [number(cell) for cell in text.split(",")]
+    if Path(text).is_file() or not any(value is not None for value in numbers):
+        return read_lamps(Path(text), pictures, "name a text of lines X Y Z, or give X,Y,Z, flash or found")
     if len(numbers) not in (3, 4) or None in numbers:
         raise UsageError(
             f"lamp '{text}', expected X,Y,Z to the right, up and towards the camera, with a distance in radii "
@@ -99,20 +112,88 @@ def parse_lamp(text: str, pictures: Sequence[str] = ()) -> list[Lamp]:
 _EXPECTED = "expected X Y Z, and one intensity or three, with the picture's name before them if it has one"
 _AXES, _INTENSITIES = ("x", "y", "z"), ("r", "g", "b")
 _OF_PICTURE = ("name", "file", "filename", "picture", "image")
+_FILE_OF_DIRECTIONS, _OF_INTENSITIES, _OF_NAMES = (
+    "light_directions.txt",
+    "light_intensities.txt",
+    "filenames.txt",
+)
 
 
-def read_lamps(path: Path, pictures: Sequence[str] = ()) -> list[Lamp]:
+def intensities_beside(path: Path) -> Path | None:
+    """Return the file of intensities that belongs to a file of directions in data sets laid out as DiLiGenT.
+
+    Source: Shi et al. 2016, "A Benchmark Dataset and Evaluation for Non-Lambertian and Uncalibrated Photometric
+    Stereo".
+    """
+    beside = path.with_name(_OF_INTENSITIES)
+    return beside if path.name == _FILE_OF_DIRECTIONS and beside.is_file() else None
+
+
+def require_in_front(lamps: Sequence[Lamp], pictures: Sequence[str], least: float, of: str) -> None:
+    """Raise UsageError that names pictures whose lamps have a z component below `least`; `of` is what they light."""
+    names = [
+        f"{name} ({lamp})" for name, lamp in zip(pictures, lamps, strict=True) if lamp.direction[2] < least
+    ]
+    if names:
+        raise UsageError(
+            f"{first_few(names)}: the lamp is behind {of}, expected z above 0: x to the right, y up, z towards the "
+            "camera; correct the direction, or leave the picture out"
+        )
+
+
+def read_lamps(
+    path: Path, pictures: Sequence[str] = (), advice: str = "name a text of lines X Y Z"
+) -> list[Lamp]:
     """Read the lamps of a text file with lines `[picture] X Y Z [intensity]`, the intensity in one or three channels.
 
     As in photometric-stereo data sets and RTI's `.lp` files, the first line may hold the number of lamps, and lines
     may begin with their number. A header may order the columns (`picture`, `x`, `y`, `z`, `intensity`, or `r`, `g`,
     `b`). If the file names pictures, the lamps are returned in the order of `pictures`, a list of file names.
+    `light_directions.txt` is read with `light_intensities.txt` and `filenames.txt` in the same folder.
 
     Raises:
-        FileFormatError: a line is not a lamp, or the names are not those of the pictures.
+        MissingFileError: there is no such file; `advice` ends the message.
+        FileFormatError: a line is not a lamp, the names are not those of the pictures, or the numbers of lines differ.
     """
-    text = decode(disk.read_bytes(path, advice="name a text of lines X Y Z", most=disk.MOST_TEXT))
-    lines = data_lines(text.split("\n"), marks=("#",))
+    lamps, is_named = _lamps_in(path, advice)
+    if (beside := intensities_beside(path)) is not None and not any(lamp.known for lamp in lamps.values()):
+        rows = _intensities(beside, len(lamps))
+        lamps = {name: lamp.of_intensity(row) for (name, lamp), row in zip(lamps.items(), rows, strict=True)}
+    names = path.with_name(_OF_NAMES)
+    if path.name == _FILE_OF_DIRECTIONS and names.is_file() and not is_named:
+        listed = [_picture_name(line) for _, line in _lines(names, advice)]
+        if len(set(listed)) != len(lamps):
+            raise FileFormatError(
+                f"{names}: found {len(set(listed))} names, expected {len(lamps)}, one for each lamp"
+            )
+        lamps, is_named = dict(zip(listed, lamps.values(), strict=True)), True
+    return _in_order(path, lamps, pictures) if is_named and pictures else list(lamps.values())
+
+
+def _lines(path: Path, advice: str) -> list[tuple[int, str]]:
+    text = decode(disk.read_bytes(path, advice=advice, most=disk.MOST_TEXT))
+    return data_lines(text.split("\n"), marks=("#",))
+
+
+def _intensities(path: Path, count: int) -> list[Array]:
+    """Read one or three intensities per line, for `count` lamps."""
+    rows = list_rows(_lines(path, "name a text of intensities"))
+    if len(rows) != count:
+        raise FileFormatError(f"{path}: found {len(rows)} lines, expected {count}, one for each direction")
+    found: list[Array] = []
+    for n, cells in rows:
+        values = [number(cell) for cell in cells]
+        if len(values) not in (1, 3) or not all(value is not None and value > 0.0 for value in values):
+            raise FileFormatError(
+                f"{path}, line {n}: found '{' '.join(cells)[:40]}', expected one intensity above 0, or three (R G B)"
+            )
+        found.append(np.array(values, dtype=np.float64))
+    return found
+
+
+def _lamps_in(path: Path, advice: str) -> tuple[dict[str, Lamp], bool]:
+    """Read the lamps of one file by the names of their pictures or, if it names none, by the numbers of their lines."""
+    lines = _lines(path, advice)
     if lines and (count := number(lines[0][1])) is not None:
         lines = lines[1:]
         if count != len(lines):
@@ -138,13 +219,11 @@ def read_lamps(path: Path, pictures: Sequence[str] = ()) -> list[Lamp]:
         key = _picture_name(name) or str(n)
         if key in lamps:
             raise FileFormatError(f"{path}, line {n}: the picture {key} occurs twice, expected each once")
-        colour = np.broadcast_to(values[3:], (3,)) if values.size > 3 else np.ones(3)
         try:
-            lamps[key] = Lamp.towards(values[:3], colour=np.array(colour))
+            lamps[key] = Lamp.towards(values[:3]).of_intensity(values[3:])
         except UsageError as error:
             raise FileFormatError(f"{path}, line {n}: {error}") from None
-    is_named = all(_lamp_cells(cells, head)[0] for _, cells in rows)
-    return _in_order(path, lamps, pictures) if is_named and pictures else list(lamps.values())
+    return lamps, all(_lamp_cells(cells, head)[0] for _, cells in rows)
 
 
 def _are_counted(rows: list[list[str]]) -> bool:

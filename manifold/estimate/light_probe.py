@@ -14,6 +14,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from manifold.colour.conversion import encode_srgb
+from manifold.core.defaults import TINY
 from manifold.core.errors import UsageError
 from manifold.core.names import percent
 from manifold.core.records import Array, Indices, Mask, evenly_spaced
@@ -32,11 +33,15 @@ _NOISE = 0.03  # error of cube roots, relative to the picture's largest, from wh
 _LEAST_NOISE = 0.005  # of the smoothest materials
 _ROBUST = 2.0  # residuals, in units of that, that count less than in proportion
 _LARGEST_RESIDUAL = 0.12  # relative error of cube roots beyond which no lamp explains a picture
+_MODEL_DEG = (
+    2.5  # error of the shading model: on a real ball 0 against a mirror ball's lamps, 2.9 against stated ones
+)
 _TOGETHER = 12  # pictures that are fitted together; of more, some evenly spaced
 _DOUBTED_DEG = 10.0  # least doubtful angle; lamps are found within 7 degrees in pictures of a matte ball
 _LINEAR_RESIDUAL = 0.035  # largest residual of linear codes that explains pictures well
 _CLEARLY = 1.6  # least ratio of residuals of two encodings: at most 1.33 in triples of pictures that are sRGB
 _CLEARLY_OF_FEW = 2.5  # the same of one or two pictures: at most 2.1 in single ones that are sRGB
+_DOUBTFUL = 2.0  # ratio of these residuals at which both encodings are about equally probable
 _OF_ENCODING = 3  # pictures in which encodings are compared; of more, some evenly spaced
 
 _NODES = np.sqrt([0.0, 1.0, 2.5, 4.5, 7.0, 10.0, 13.0, 17.0, 22.0, 28.0, 35.0, 45.0, 58.0, 72.0, 90.0])
@@ -72,7 +77,7 @@ class Probe:
     Attributes:
         circle: the outline, the same in all photographs.
         gains: brightness of every photograph relative to the first.
-        lamp_deg: standard deviation of every lamp's direction, in degrees.
+        lamp_deg: standard deviation of every lamp's direction, in degrees, including the error of the shading model.
         circle_error: standard deviation of centre and radius, in radii.
         residual: relative cube-root residual of every photograph.
     """
@@ -150,7 +155,8 @@ def doubt_encoding(photographs: Sequence[Photograph], probe: Probe) -> tuple[Pro
     """Return a warning if photographs that were decoded as sRGB seem to hold linear values.
 
     That is so if one lamp explains the undecoded values well, and clearly better than the probe explains the decoded
-    ones. The uncertainty of the probe's lamps is then increased to the angle between both estimates.
+    ones. The uncertainty of the probe's lamps is then increased by the angle between both estimates, and by a share of
+    it if the undecoded values are explained less clearly.
     """
     if not all(one.is_encoded for one in photographs):
         return probe, ()
@@ -162,13 +168,18 @@ def doubt_encoding(photographs: Sequence[Photograph], probe: Probe) -> tuple[Pro
         return probe, ()
     linear = float(np.mean(of_codes.residual))
     residual = float(np.mean([probe.residual[k] for k in chosen]))
-    least = _CLEARLY if len(chosen) >= _OF_ENCODING else _CLEARLY_OF_FEW
-    if linear > _LINEAR_RESIDUAL or residual < least * linear:
-        return probe, ()
     between = [one.degrees_from(probe.lamps[k]) for one, k in zip(of_codes.lamps, chosen, strict=True)]
     apart = [between[chosen.index(k)] if k in chosen else max(between) for k in range(len(photographs))]
-    wider = tuple(float(np.hypot(off, more)) for off, more in zip(probe.lamp_deg, apart, strict=True))
-    return replace(probe, lamp_deg=wider), (
+    ratio = residual / max(linear, TINY)
+    is_clear = linear <= _LINEAR_RESIDUAL and ratio >= (
+        _CLEARLY if len(chosen) >= _OF_ENCODING else _CLEARLY_OF_FEW
+    )
+    probability = 1.0 if is_clear else 1.0 / (1.0 + (_DOUBTFUL / max(ratio, TINY)) ** 4)
+    wider = np.hypot(probe.lamp_deg, np.sqrt(probability) * np.array(apart))
+    probe = replace(probe, lamp_deg=tuple(wider.tolist()))
+    if not is_clear:
+        return probe, ()
+    return probe, (
         f"the pictures were read as sRGB, and one lamp explains the ball to {percent(residual, 1)}; read as linear, to "
         f"{percent(linear, 1)}: if their values are linear, add --linear, else the lamps are wrong",
     )
@@ -529,7 +540,7 @@ class _Pixels:
         covariance = np.linalg.pinv(fit.curvature)
         deviation = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
         # A step of the parameters turns the lamp by about as much in radians: see `_directions`.
-        degrees = np.rad2deg(np.hypot(*self.slopes(deviation).T))
+        degrees = np.hypot(np.rad2deg(np.hypot(*self.slopes(deviation).T)), _MODEL_DEG)
         gain, strength = fit.x[_COMMON:].reshape(-1, _OWN)[:, 2:].T
         diffuse, highlight, *_ = self.shading(fit.x)
         shine = highlight.sum(axis=1) / np.maximum((diffuse + highlight).sum(axis=1), np.finfo(float).tiny)

@@ -26,6 +26,8 @@ _SEARCHED = 800  # pixels of the longer side in which outlines and lamps are sou
 _COARSE = 128  # pixels of the longer side in which circles are searched
 _RADII = 0.08, 0.62  # smallest and largest radius of circles, relative to that
 _LEAST_SUPPORT = 0.5  # share of the outline that is an edge
+_REFINED = 6  # circles of most votes
+_LARGER = 1.3  # least ratio of the radii of an outline and a highlight within it
 _ANGLES = 180
 _SPANS = (0.2, 0.1, 0.05, 0.03)  # shares of the radius within which edges are sought
 _ROUNDS = 8  # rounds in each span
@@ -258,15 +260,35 @@ def find_outlines(display: Array, where: str) -> list[Outline]:
         found.append((float(votes.max()), Circle(float(best[1]), float(best[0]), float(radius))))
     found.sort(key=lambda pair: -pair[0])
     smooth = _grey(display)
-    refined = [_refined(smooth, circle, 1.0 / factor) for _, circle in found[:6]]
+    refined = [_refined(smooth, circle, 1.0 / factor) for _, circle in found[:_REFINED]]
     support, circle = max(refined, key=lambda pair: pair[0], default=(0.0, Circle(0.0, 0.0, 0.0)))
     if support < _LEAST_SUPPORT:
         raise UsageError(
             f"{where}: no ball found (edges cover {percent(support)} of the best circle, expected "
             f"{percent(_LEAST_SUPPORT)}); give its circle"
         )
+    # A highlight on a dark ball has the sharper edge, but lies within the outline.
+    larger = [one for _, one in found if _encloses(one.scaled(1.0 / factor), circle)]
+    around = [_refined(smooth, one, 1.0 / factor) for one in larger[:_REFINED]]
+    support, enclosing = max(around, key=lambda pair: pair[0], default=(0.0, circle))
+    if support >= _LEAST_SUPPORT and _is_within(enclosing, grey):
+        circle = enclosing
     both = [Outline(one, _share_of_edges(smooth, one)) for one in (circle, _through_edges(smooth, circle))]
     return sorted(both, key=lambda one: -one.share)
+
+
+def _encloses(circle: Circle, other: Circle) -> bool:
+    """Return whether a circle is clearly larger than another one and contains it."""
+    apart = float(np.hypot(circle.x - other.x, circle.y - other.y))
+    return circle.radius > _LARGER * other.radius and apart + other.radius < circle.radius
+
+
+def _is_within(circle: Circle, grey: Array) -> bool:
+    """Return whether a circle lies within a picture (H, W)."""
+    height, width = grey.shape
+    return bool(
+        circle.radius <= min(circle.x, width - circle.x) and circle.radius <= min(circle.y, height - circle.y)
+    )
 
 
 def _through_edges(grey: Array, circle: Circle) -> Circle:
@@ -292,6 +314,8 @@ def _share_of_edges(grey: Array, circle: Circle) -> float:
     """Return the share of the strongest edges on rays that lies on a circle."""
     _, _, gradient, radii = _rays(grey, circle, _SPANS[0])
     near = np.abs(radii / circle.radius - 1.0) < _ON_IT
+    if not near.any():  # of a pixel's size
+        return 0.0
     return float(gradient[near].max(axis=0).sum() / max(gradient.max(axis=0).sum(), np.finfo(float).tiny))
 
 

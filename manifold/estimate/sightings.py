@@ -22,8 +22,10 @@ from manifold.estimate.lamps import (
     MOST_DISTANCE,
     Lamp,
     clipped_spots,
+    intensities_beside,
     lamp_pairs,
     parse_lamp,
+    require_in_front,
     unwrapped,
 )
 from manifold.estimate.light_probe import doubt_encoding, find_light, given_lamp_notes
@@ -52,7 +54,7 @@ _MOST_BRIGHT = 1.2  # a perfect diffuser has 1 where it faces the lamp: a quarte
 _LEAST_COSINE = 0.05  # least cosine of a grey card's angle to its lamp
 _HIGHLIGHT_DEG = 15.0  # largest angle of a highlight's half vector from the normal
 _DIFFERENCES_DEG = np.arange(0.0, 91.0, 15.0)  # edges of bins of angles between directions and half vector
-_LEAST_LIGHT = 1e-5  # mean light on a ball; 0.09 under a lamp at the camera
+_LEAST_LIGHT = 1e-3  # mean light: 0.1 under a lamp at the camera, 1e-4 on a cylinder straight below a lamp
 _MOST_OUTSIDE = 0.02  # share of a mirror ball outside its picture, where an outline touches the edge
 _UNLIT = 0.02  # share of a pixel's light below which nothing is learned
 
@@ -70,7 +72,8 @@ class PhotoRequest:
         responses: file of the camera's sensitivities; None for sRGB.
         lamps: lamps of the photographs, in the form of `lamps.parse_lamp`; `found` estimates them from the
             photographs.
-        each: whether every photograph has its own exposure.
+        each: whether every photograph has its own exposure; None if that is so unless files of lamps state
+            intensities.
         grey: grey card that faces the camera beside the ball, `X,Y,W,H,REFLECTANCE`, in pixels; None without one.
         is_linear: whether the files hold linear values, whatever their format.
         dark: photograph without light, which is subtracted from all others; None without one.
@@ -87,7 +90,7 @@ class PhotoRequest:
     exposure: float | None = 1.0
     responses: Path | None = None
     lamps: Sequence[str] = ()
-    each: bool = False
+    each: bool | None = False
     grey: str | None = None
     is_linear: bool = False
     dark: Path | None = None
@@ -232,11 +235,19 @@ def _under_lamps(
         names = [path.name for path in request.photographs]
         given = [lamp for text in request.lamps for lamp in parse_lamp(text, names)]
         lamps = _for_each(len(photographs), given, "lamps")
+        require_in_front(lamps, names, 0.0, "the ball")
+        notes += tuple(
+            f"intensities of the lamps from {beside.name}"
+            for text in request.lamps
+            if (beside := intensities_beside(Path(text))) is not None
+        )
         if is_common:
             outlines = [_outline_of(photographs, circles[0])] * len(photographs)
         else:
             outlines = [_outline_of([one], text) for one, text in zip(photographs, circles, strict=True)]
-    if request.grey is None:
+    if request.grey is not None:  # which measures the light
+        lamps = [replace(lamp, colour=np.ones(3)) for lamp in lamps]
+    elif not all(lamp.known == "colour" for lamp in lamps):
         notes += (
             "the lamp is assumed to be white; a coloured lamp changes the material's colour; correct the picture's "
             "white balance, or give a grey card (--grey)",
@@ -251,13 +262,20 @@ def _under_lamps(
         own = photograph.notes + notes + doubts
         if apart is None and not isinstance(circle, Cylinder):
             own += given_lamp_notes(photograph, circle, lamp)
-        if np.mean(sighting.pairs[2] / lamp.colour) < _LEAST_LIGHT:  # the lamp's own size lights the limb
+        if np.mean(sighting.pairs[2] / lamp.colour) < _LEAST_LIGHT:
             raise UsageError(
                 f"{photograph.path}: a lamp at {lamp} lights no part of the ball that the camera sees, expected one in "
                 "front of it: x to the right, y up, z to the camera"
             )
         balls.append(SeenBall(seen, circle, None, sighting, own, warnings, off))
     return balls
+
+
+def have_own_exposures(request: PhotoRequest, balls: Sequence[SeenBall]) -> bool:
+    """Return whether every photograph has its own exposure, or its lamp its own strength."""
+    if request.each is None:
+        return not all(lamp.known for ball in balls for lamp in ball.lamps)
+    return request.each
 
 
 def _found_at(request: PhotoRequest) -> float | None:

@@ -70,8 +70,19 @@ class Solution:
 
     @property
     def errors(self) -> Array:
-        """Relative cube-root error over all rows in every channel, shape (C,)."""
+        """Relative cube-root error over all rows in every channel, with their weights in the fit, shape (C,)."""
         return np.array([rows.relative.error(w) for rows, w in zip(self.channels, self.weights, strict=True)])
+
+    @property
+    def residual_of_pixels(self) -> float:
+        """Relative cube-root error of the pixels, as the root mean square over pictures."""
+        return float(np.sqrt(np.mean(self.residuals**2)))
+
+    @property
+    def residual(self) -> float:
+        """Largest relative cube-root error of pixels, readings and gloss; only with pictures."""
+        others = [rows for rows in (self.evidence.of_readings, self.evidence.of_gloss) if rows]
+        return max(self.residual_of_pixels, *(_error_of(rows, self.weights) for rows in others), 0.0)
 
 
 def gather(
@@ -340,8 +351,7 @@ def _scale_and_contradiction(evidence: Evidence, weights: Array) -> tuple[float,
     """
     scale = 1.0 / ratio_of(evidence.of_readings, weights)
     made = weights / scale if evidence.exposure is None else weights
-    errors = [rows.relative.error(w) for rows, w in zip(evidence.of_readings, made, strict=True)]
-    return scale, float(np.sqrt(np.mean(np.square(errors))))
+    return scale, _error_of(evidence.of_readings, made)
 
 
 def probable_exposure(
@@ -374,8 +384,15 @@ def probable_exposure(
 
 def residuals_of(evidence: Evidence, weights: Array, exposures: Array) -> Array:
     """Return the relative cube-root error of every picture (P,), as the root mean square over channels."""
-    errors = [
-        [rows.scaled(at).relative.error(w) for rows, w in zip(picture, weights, strict=True)]
-        for picture, at in zip(evidence.pictures, exposures.tolist(), strict=True)
-    ]
-    return np.asarray(np.sqrt(np.mean(np.square(errors), axis=1)))
+    return np.array(
+        [
+            _error_of([rows.scaled(at) for rows in picture], weights)
+            for picture, at in zip(evidence.pictures, exposures.tolist(), strict=True)
+        ]
+    )
+
+
+def _error_of(channels: Sequence[Observation], weights: Array) -> float:
+    """Return the relative cube-root error of rows in C channels for weights (C, n), root mean square over channels."""
+    errors = [rows.relative.error(w) for rows, w in zip(channels, weights, strict=True)]
+    return float(np.sqrt(np.mean(np.square(errors))))

@@ -7,10 +7,11 @@ from functools import cached_property
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.fft import dct, dst, idctn
+from scipy.fft import dct, dctn, dst, idct, idctn, idst
 
 from manifold.brdf.interface import EvaluableBRDF
 from manifold.core.records import Array, Mask
+from manifold.surface.lambertian import fit_lambertian, tangents
 from manifold.surface.lamp_pictures import SurfacePictures
 from manifold.surface.response import SLOPE_STD, THIRD_STD, Response, gain_of
 
@@ -42,6 +43,7 @@ class Surface:
         glints: whether a point is brighter in a picture than a smooth relief explains, bool, shape (J, H, W).
         gain: gain of the response to slope; see `response`.
         pictures: the pictures from which the surface was estimated.
+        is_lambertian: whether it was fitted as a Lambertian, see `lambertian`, without a third factor.
     """
 
     name: str
@@ -53,6 +55,7 @@ class Surface:
     glints: Mask
     gain: float
     pictures: SurfacePictures
+    is_lambertian: bool = False
 
     def lit(self, lamp: Array, mean: Array) -> Array:
         """Render a picture under another lamp, linear sRGB, shape (H, W, 3).
@@ -61,14 +64,21 @@ class Surface:
             lamp: unit vector towards the lamp, shape (3,); NaN for diffuse light.
             mean: mean of the picture in linear sRGB, shape (3,).
         """
-        factors = Response.of(lamp[None], mean[None], self.gain).factors[0]
-        bright = self.albedo * np.exp(self._state @ factors)[..., None]
+        if self.is_lambertian:
+            shading = self._normal_z * np.maximum(1.0 + self.slope @ tangents(lamp[None])[0], 0.0)
+        else:
+            shading = np.exp(self._state @ Response.of(lamp[None], mean[None], self.gain).factors[0])
+        bright = self.albedo * shading[..., None]
         return np.asarray(bright / bright.mean(axis=(0, 1)) * mean)
 
     @property
     def is_middle(self) -> Mask:
         """Mask (J,) of the pictures in which glints are counted, those under lamps near the normal."""
         return _is_middle(self.pictures)
+
+    @property
+    def _normal_z(self) -> Array:
+        return np.asarray(1.0 / np.sqrt(1.0 + np.sum(self.slope**2, axis=-1)))
 
     @property
     def _state(self) -> Array:
@@ -92,9 +102,15 @@ def estimate_surface(pictures: SurfacePictures, brdf: EvaluableBRDF | None = Non
 
     Args:
         pictures: pictures, three or more of them under lamps.
-        brdf: mean BRDF, whose lobe sets the scale of the slopes; if None, the scale is that of a Lambertian under
-            lamps at 30 degrees.
+        brdf: mean BRDF, whose lobe sets the scale of the slopes. If None, pictures from above show a Lambertian, and
+            others have the responses of `response` with the scale of a Lambertian under lamps at 30 degrees.
     """
+    if brdf is None and pictures.is_from_above:
+        lambertian = fit_lambertian(pictures)
+        return _surface(
+            pictures, lambertian.albedo, lambertian.slope, lambertian.slope_std,
+            np.zeros(lambertian.slope.shape[:2]), lambertian.residual, is_lambertian=True,
+        )  # fmt: skip
     gain = 1.0 if brdf is None else gain_of(brdf, pictures)
     response = Response.of_pictures(pictures, gain)
     values = pictures.values
@@ -107,20 +123,33 @@ def estimate_surface(pictures: SurfacePictures, brdf: EvaluableBRDF | None = Non
         for picture, is_trusted, s in zip(residual, trusted, spread, strict=True):
             is_trusted[...] = np.abs(picture) <= _OUTLIER * s
         trusted[:, np.count_nonzero(trusted, axis=0) < 3] = True  # of what is left, a point needs three
-    relative = np.exp(albedo)
-    relative /= relative.mean(axis=(0, 1))
-    factors = pictures.factors
-    is_diffuse = pictures.is_diffuse
+    return _surface(
+        pictures,
+        np.exp(albedo),
+        state[..., :2],
+        np.sqrt(np.diagonal(covariance)[:2]),
+        state[..., 2],
+        residual,
+        gain,
+    )
+
+
+def _surface(
+    pictures: SurfacePictures, albedo: Array, slope: Array, slope_std: Array, third: Array, residual: Array,
+    gain: float = 1.0, *, is_lambertian: bool = False,
+) -> Surface:  # fmt: skip
+    """Return the surface of a fit, with its mean colour and its glints."""
+    values, factors, is_diffuse = pictures.values, pictures.factors, pictures.is_diffuse
+    relative = albedo / albedo.mean(axis=(0, 1))
     colour = (values[is_diffuse] if is_diffuse.any() else values).mean(axis=(0, 1, 2))
     if np.isfinite(factors).any():
         colour = np.minimum(colour / np.nanmedian(factors, axis=0), 1.0)
     else:  # nothing says how bright it is: its brightest points are as bright as can be
         colour /= brightest(colour * relative)
+    glints = _glints(values, residual, pictures)
     return Surface(
-        pictures.name, colour, relative, state[..., :2],
-        np.sqrt(np.diagonal(covariance)[:2]), state[..., 2], _glints(values, residual, pictures), gain,
-        pictures,
-    )  # fmt: skip
+        pictures.name, colour, relative, slope, slope_std, third, glints, gain, pictures, is_lambertian
+    )
 
 
 def brightest(colours: Array) -> float:
@@ -216,5 +245,10 @@ def integrated(slope: Array, slope_std: Array) -> Array:
 
 
 def _slopes_of(height: Array) -> Array:
-    rows, columns = np.gradient(height)
-    return np.stack([-columns, rows], axis=-1)
+    """Return the slopes of heights, the derivatives of their sum of cosines, (H, W, 2); the inverse of `integrated`."""
+    h, w = height.shape
+    spectrum = dctn(height)
+    of_x, of_y = np.zeros((h, w)), np.zeros((h, w))
+    of_x[:, :-1] = np.pi * np.arange(1, w) / w * spectrum[:, 1:]
+    of_y[:-1] = -np.pi * np.arange(1, h)[:, None] / h * spectrum[1:]
+    return np.stack([idct(idst(of_x, axis=1), axis=0), idct(idst(of_y, axis=0), axis=1)], axis=-1)

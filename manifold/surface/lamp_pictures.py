@@ -11,9 +11,10 @@ from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter
 
 from manifold.colour.picture_files import SUFFIXES, read_picture
+from manifold.core.defaults import TINY
 from manifold.core.errors import FileFormatError, UsageError
 from manifold.core.records import Array, Mask
-from manifold.estimate.lamps import read_lamps
+from manifold.estimate.lamps import intensities_beside, read_lamps, require_in_front
 from manifold.estimate.picture_colours import colour_of, odd_picture, reading_at
 from manifold.formats.readings import Readings
 from manifold.formats.workbook_pictures import picture_directions, picture_geometry, picture_values
@@ -27,6 +28,7 @@ _MOST_SHIFT_PX = 2.0
 _SHIFT_STEP_PX = 0.05
 _LEAST_CORRELATION = 0.3  # of fine detail between two channels, to register them
 _HALF_CODE = 0.5 / 255.0
+_ABOVE = float(np.cos(np.deg2rad(1.0)))  # least cosine of a camera above the sample
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +62,11 @@ class SurfacePictures:
     def is_diffuse(self) -> Mask:
         """Mask of the pictures in diffuse light, shape (J,)."""
         return np.isnan(self.lamps[:, 0])
+
+    @property
+    def is_from_above(self) -> bool:
+        """Whether the camera looks along the normal."""
+        return bool(self.camera[2] > _ABOVE)
 
     def without(self, picture: int) -> SurfacePictures:
         """Return the pictures without the one with this index."""
@@ -127,26 +134,29 @@ def read_folder(pictures: Sequence[Path], lamps: Path) -> SurfacePictures:
             towards the camera.
 
     Raises:
-        UsageError: the numbers of lamps and pictures differ, or a lamp is below the surface.
+        UsageError: the numbers of lamps and pictures differ, or a lamp is not in front of the surface.
         FileFormatError: a line is not a direction, or the sizes of the pictures differ.
     """
-    found = read_lamps(lamps, [path.name for path in pictures])
+    names = tuple(path.name for path in pictures)
+    found = read_lamps(lamps, names)
     if len(found) != len(pictures) or len(found) < _LEAST_LAMPS:
         raise UsageError(
             f"{lamps}: found {len(found)} lamps for {len(pictures)} pictures, expected one per picture, at least "
             f"{_LEAST_LAMPS} or more"
         )
-    directions = np.array([lamp.direction for lamp in found])
-    if np.any(directions[:, 2] <= 0.0):
-        raise UsageError(f"{lamps}: a lamp is below the surface, expected z above 0")
+    require_in_front(found, names, TINY, "the surface")
+    beside = intensities_beside(lamps)
     read = (read_picture(path).values / lamp.colour for path, lamp in zip(pictures, found, strict=True))
     values = _stacked(lamps, read, len(pictures))
     np.maximum(values, _HALF_CODE, out=values)
     return SurfacePictures(
-        pictures[0].parent.resolve().name, values, directions, np.array([0.0, 0.0, 1.0]),
-        tuple(path.name for path in pictures), np.full((len(found), 3), np.nan),
-        ("no readings: colours are relative to the brightest points, slopes as steep as a Lambertian's would be",),
-        (*pictures, lamps),
+        pictures[0].parent.resolve().name, values, np.array([lamp.direction for lamp in found]),
+        np.array([0.0, 0.0, 1.0]), names, np.full((len(found), 3), np.nan),
+        (
+            "no readings: colours are relative to the brightest points, slopes as steep as a Lambertian's would be",
+            *(() if beside is None else (f"intensities of the lamps from {beside.name}",)),
+        ),
+        (*pictures, lamps, *(() if beside is None else (beside,))),
     )  # fmt: skip
 
 

@@ -26,11 +26,13 @@ _SLOPE = np.array([-1.74, -0.636, -0.131, 0.519, 0.876, 1.395])
 _THIRD = np.array([1.29, -0.651, -0.926, -0.338, 0.22, 1.064])
 _NOISE = np.array([0.177, 0.129, 0.095, 0.111, 0.105, 0.138])  # of ln N, standard deviation
 _SLOPE_DIFFUSE, _THIRD_DIFFUSE, _NOISE_DIFFUSE = -0.126, -0.495, 0.081
-_CODE_NOISE = 0.012  # standard deviation of linear values: 8 bits, and the camera
 _REFERENCE_NOISE = 0.08  # of ln N, of the noise above in a bright channel
 _NODES = 15  # of quadrature, along each component of slope
 _DARK = 1e-3  # least linear value of a facet
 _GAINS = (0.5, 4.0)  # range of gains, which keeps slopes of a mirror-like completion finite
+
+CODE_NOISE = 0.012
+"""Standard deviation of linear values, which stands for 8 bits and the camera."""
 
 SLOPE_STD = 0.13
 """Standard deviation of the paints' slopes, which is the prior of each component."""
@@ -82,7 +84,7 @@ class Response:
         factors = np.stack([slope * along_x, slope * along_y, third], axis=-1)
         factors[is_diffuse, 1] = -_SLOPE_DIFFUSE
         factors[:, :2] *= gain
-        relative = _CODE_NOISE / means
+        relative = CODE_NOISE / means
         weights = (_REFERENCE_NOISE / noise[:, None]) ** 2 / (_REFERENCE_NOISE**2 + relative**2)
         return cls(factors, weights)
 

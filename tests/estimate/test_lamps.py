@@ -19,6 +19,7 @@ from manifold.core.metrics import Errors
 from manifold.core.records import Bands
 from manifold.estimate import Completion, lamp_plan
 from manifold.estimate.completions import Photographed, odd_pictures
+from manifold.estimate.expected import calibrate
 from manifold.estimate.lamp_plan import plan_lamps
 from manifold.estimate.lamps import (
     Lamp,
@@ -32,10 +33,12 @@ from manifold.estimate.lamps import (
 from manifold.estimate.light_probe import doubt_encoding, edges_on_limb, find_light, given_lamp_notes
 from manifold.estimate.outlines import Circle, Cylinder, Photograph, given_outline_notes, outlines_in
 from manifold.estimate.pixels import Camera, Environment, block_sums, blocks_of
-from manifold.estimate.sightings import PhotoRequest, SeenBall, Sighting, see
+from manifold.estimate.sightings import PhotoRequest, SeenBall, Sighting, have_own_exposures, see
 from manifold.estimate.solving import CONTRADICTION, strength_of_spots
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.io_rgl import read_bsdf
+from manifold.render.images import write_image
+from manifold.surface.lamp_pictures import read_folder
 
 PAINT = Plastic(GGX.isotropic(0.2), np.array(1.5), np.array([0.3, 0.4, 0.5]), Bands(None))
 SIZE, MARGIN = 96, 0.25
@@ -121,6 +124,36 @@ def test_lamps_are_found_whatever_the_material(brdf, number, limit_deg):
         assert off < 2.0 * deviation
 
 
+@pytest.mark.parametrize("direction", [[0.1, 0.2, 1.0], [0.5, 0.4, 0.8], [-0.6, 0.2, 0.3], [0.9, -0.1, 0.15]])
+@pytest.mark.parametrize("roughness", [0.08, 0.2])
+def test_the_outline_of_a_black_ball_is_not_that_of_its_highlight(direction, roughness):
+    black = Plastic(GGX.isotropic(roughness), np.array(1.5), np.full(3, 0.01), Bands(None))
+    values = lamp_picture(black, Camera(), [Lamp.towards(direction)], 200, 0.5)
+    values /= np.quantile(values, 0.995)
+    picture = Photograph(
+        Path("black"), np.minimum(values, 1.0).astype(np.float32), (values > 1.0).any(axis=2)
+    )
+    found = find_light([picture])
+    assert found.circle.radius == pytest.approx(200 / 3, rel=0.06)
+    assert np.hypot(found.circle.x - 100.0, found.circle.y - 100.0) < 4.0
+    off = found.lamps[0].degrees_from(Lamp.towards(direction))
+    assert off < min(2.0 * found.lamp_deg[0], 8.0)
+
+
+@pytest.mark.parametrize("brdf", [MATTE, GLOSSY])
+@pytest.mark.parametrize("count", [1, 3])
+def test_the_uncertainty_of_lamps_covers_an_encoding_that_pictures_do_not_settle(brdf, count):
+    directions = np.array([[0.7, 0.3, 0.5], [-0.3, 0.6, 0.7], [0.2, -0.5, 0.8]])
+    for first in range(0, 3, count):
+        some = directions[first : first + count]
+        pictures = [
+            stored(brdf, direction, lambda values: values) for direction in some
+        ]  # linear, read as sRGB
+        probe, _ = doubt_encoding(pictures, find_light(pictures))
+        for lamp, direction, deviation in zip(probe.lamps, some, probe.lamp_deg, strict=True):
+            assert lamp.degrees_from(Lamp.towards(direction)) < 2.0 * deviation
+
+
 def stored(brdf, direction, codes_of):
     """A picture whose 8-bit codes are a function of the values, read as sRGB."""
     values = lamp_picture(brdf, Camera(), [Lamp.towards(direction)], SIZE, MARGIN)
@@ -197,9 +230,14 @@ def test_lamps_are_read_from_text_and_files(tmp_path):
     np.testing.assert_allclose(lamps[1].direction, np.array([-1.0, 0.0, 1.0]) / np.sqrt(2.0))
     assert parse_lamp("0,1,1,8")[0].distance == 8.0
     np.testing.assert_array_equal(parse_lamp("flash")[0].direction, [0.0, 0.0, 1.0])
-    for wrong in ("torch", "0,0,0", "1,2", "0,0,1,0.5"):
+    for wrong in ("0,0,0", "1,2", "0,0,1,0.5", "0,x,1"):
         with pytest.raises(UsageError, match="expected"):
             parse_lamp(wrong)
+    for missing in ("torch", "lamps.txt", "nowhere/lights.txt", "a,b.txt"):
+        with pytest.raises(
+            ManifoldError, match=f"^{missing}: no such file; name a text of lines X Y Z, or give"
+        ):
+            parse_lamp(missing)
     (tmp_path / "bad.txt").write_text("0 0\n")
     with pytest.raises(ManifoldError, match="line 1"):
         parse_lamp(str(tmp_path / "bad.txt"))
@@ -248,21 +286,117 @@ def test_files_of_lamps_that_cannot_be_read_say_why(text, words, tmp_path):
         read_lamps(path, PICTURES)
 
 
-def test_a_grey_card_gives_exposure_and_colour_of_the_lamp(tmp_path):
-    import OpenImageIO
+INTENSITIES = "1.2 1.0 0.8\n0.6 0.5 0.4\n2.4 2.0 1.6\n"
 
+
+def written_set(folder, intensities=INTENSITIES):
+    """Write the pictures and lamps of a photometric-stereo data set, laid out as DiLiGenT; return the pictures."""
+    colours = [np.array(line.split(), float) for line in INTENSITIES.splitlines()]
+    files = [folder / f"{k:03}.exr" for k in range(3)]
+    for path, direction, colour in zip(files, DIRECTIONS, colours, strict=True):
+        write_image(path, photograph(direction).values * colour)
+    np.savetxt(folder / "light_directions.txt", DIRECTIONS)
+    (folder / "light_intensities.txt").write_text(intensities)
+    return files
+
+
+@pytest.mark.parametrize("is_one_file", [True, False])
+def test_photographs_take_the_intensities_of_their_lamps(is_one_file, photo_atoms, tmp_path):
+    files = written_set(tmp_path)
+    lamps = tmp_path / "light_directions.txt"
+    if is_one_file:
+        lamps = tmp_path / "lamps.txt"
+        rows = zip(DIRECTIONS, INTENSITIES.splitlines(), strict=True)
+        lamps.write_text("".join(f"{d[0]} {d[1]} {d[2]} {colour}\n" for d, colour in rows))
+    request = PhotoOptions(lamp=[str(lamps)], circle=[str(CIRCLE)]).request_of(files)
+    balls = see(request)
+    np.testing.assert_allclose([ball.lamps[0].colour for ball in balls], np.loadtxt(INTENSITIES.splitlines()))
+    assert not have_own_exposures(request, balls)
+    notes = " ".join(balls[0].notes)
+    assert "assumed to be white" not in notes
+    assert ("intensities of the lamps from light_intensities.txt" in notes) != is_one_file
+    found = Completion.of(photo_atoms, [ball.sighting for ball in balls], exposure=1.0)
+    assert found.residual < 0.02  # 0.3 without the intensities
+    pictures = read_folder(files, lamps)  # the same parser
+    np.testing.assert_allclose(
+        pictures.values, [np.maximum(photograph(d).values, 0.5 / 255) for d in DIRECTIONS], rtol=2e-2
+    )
+
+
+def test_one_intensity_per_lamp_is_a_strength_and_not_a_colour(tmp_path):
+    files = written_set(tmp_path, "1\n0.5\n2\n")
+    request = PhotoOptions(lamp=[str(tmp_path / "light_directions.txt")], circle=[str(CIRCLE)]).request_of(
+        files
+    )
+    balls = see(request)
+    np.testing.assert_allclose(
+        [ball.lamps[0].colour for ball in balls], np.repeat([[1.0], [0.5], [2.0]], 3, 1)
+    )
+    assert not have_own_exposures(request, balls)
+    assert any("assumed to be white" in note for note in balls[0].notes)
+    (tmp_path / "light_intensities.txt").unlink()
+    assert have_own_exposures(request, see(request))
+
+
+def test_names_beside_directions_order_the_lamps(tmp_path):
+    files = written_set(tmp_path)
+    (tmp_path / "filenames.txt").write_text("002.exr\n000.exr\n001.exr\n")
+    lamps = read_lamps(tmp_path / "light_directions.txt", [path.name for path in files[:2]])
+    expected = DIRECTIONS[1:] / np.linalg.norm(DIRECTIONS[1:], axis=1, keepdims=True)
+    np.testing.assert_allclose([lamp.direction for lamp in lamps], expected)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("light_intensities.txt", "1 1 1\n2 2 2\n", "found 2 lines, expected 3, one for each direction"),
+        ("light_intensities.txt", "1\n0\n2\n", "line 2: found '0', expected one intensity above 0"),
+        (
+            "light_intensities.txt",
+            "1\n1 2\n2\n",
+            "line 2: found '1 2', expected one intensity above 0, or three",
+        ),
+        ("filenames.txt", "000.exr\n001.exr\n", "found 2 names, expected 3"),
+    ],
+)
+def test_files_beside_directions_that_do_not_fit_say_why(name, text, words, tmp_path):
+    written_set(tmp_path)
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ManifoldError, match=words):
+        read_lamps(tmp_path / "light_directions.txt", PICTURES)
+
+
+def test_given_lamps_behind_the_ball_are_refused_by_the_names_of_their_pictures(tmp_path):
+    files = written_set(tmp_path)
+    for lamps, named in (
+        (["0.5,0.4,0.8", "0.1,0.2,-1", "0,0,1"], "001.exr"),
+        (["0.5,0.4,-0.01"], "000.exr"),
+        (["0,1,-1,5"], "000.exr"),
+    ):
+        with pytest.raises(
+            UsageError, match=rf"^{named} \(.*: the lamp is behind the ball, expected z above 0"
+        ):
+            see(PhotoRequest(files, lamps=lamps, circles=[str(CIRCLE)]))
+    see(PhotoRequest(files, lamps=["1,0,0"], circles=[str(CIRCLE)]))  # from the side
+
+
+def test_a_grey_card_gives_exposure_and_colour_of_the_lamp(tmp_path):
     picture = np.zeros((SIZE, SIZE, 3), np.float32)
     picture[:] = photograph(DIRECTIONS[0]).values
     cosine = DIRECTIONS[0, 2] / np.linalg.norm(DIRECTIONS[0])
     picture[:10, :10] = 0.18 * cosine
     colour = np.array([2.0, 1.0, 0.5], np.float32)
-    out = OpenImageIO.ImageOutput.create(str(tmp_path / "ball.exr"))
-    out.open(str(tmp_path / "ball.exr"), OpenImageIO.ImageSpec(SIZE, SIZE, 3, "float"))
-    out.write_image(picture * colour)
-    out.close()
+    write_image(tmp_path / "ball.exr", picture * colour)
     circle, lamp = [str(CIRCLE)], ["0.5,0.4,0.8"]
     (ball,) = see(PhotoRequest([tmp_path / "ball.exr"], circles=circle, lamps=lamp, grey="1,1,8,8,0.18"))
     np.testing.assert_allclose(ball.photograph.values, picture, rtol=1e-3, atol=1e-5)
+    (tmp_path / "lamp.txt").write_text("0.5 0.4 0.8 2 1 0.5\n")  # the card has measured that
+    (same,) = see(
+        PhotoRequest(
+            [tmp_path / "ball.exr"], circles=circle, lamps=[str(tmp_path / "lamp.txt")], grey="1,1,8,8,0.18"
+        )
+    )
+    np.testing.assert_allclose(same.sighting.pairs[2], ball.sighting.pairs[2])
     with pytest.raises(UsageError, match="times as bright as a white surface"):
         see(PhotoRequest([tmp_path / "ball.exr"], circles=circle, lamps=lamp, grey="1,1,8,8,0.99"))
     with pytest.raises(UsageError, match="corner and size in pixels"):
@@ -292,7 +426,7 @@ def test_a_ball_lit_from_one_side_keeps_its_outline_or_it_is_doubted():
     for direction in ([0.8, 0.2, 0.5], [-0.5, 0.6, 0.6], [0.0, -0.9, 0.4]):
         best, *_ = outlines_in([photograph(direction)])
         off = np.hypot(best.circle.x - CIRCLE.x, best.circle.y - CIRCLE.y) / CIRCLE.radius
-        assert off < 0.02 or best.notes
+        assert off < 1.0 / CIRCLE.radius or best.notes  # a pixel
 
 
 def sightings_of(directions, gains):
@@ -375,12 +509,32 @@ def test_a_picture_that_contradicts_readings_counts_less(photo_atoms):
     assert abs(made - read) < 0.2 * abs(made - picture)
 
 
+def test_the_residual_of_pixels_that_contradict_readings_is_that_of_the_picture_as_given(photo_atoms):
+    other = Plastic(GGX.isotropic(0.2), np.array(1.5), np.array([0.05, 0.04, 0.5]), Bands(None))
+    balls = [
+        SeenBall(photograph(d), CIRCLE, None, s)
+        for d, s in zip(DIRECTIONS, sightings_of(DIRECTIONS, [1.0] * 3), strict=True)
+    ]
+    for count in (1, 3):
+        seen = [ball.sighting for ball in balls[:count]]
+        found = Completion.of(photo_atoms, [*seen, readings_of(other)])
+        made = Photographed(path=None, completion=found, balls=tuple(balls[:count]), expected=Errors())
+        of_pictures = [row["residual"] for row in made.photographs]
+        assert min(of_pictures) > 0.3  # the materials differ
+        assert made.residual == pytest.approx(np.sqrt(np.mean(np.square(of_pictures))))
+        assert made.rows["residual"][0].startswith(f"{100 * made.residual:.1f} % of the pixels")
+        assert "contradict" in made.advice
+        alike = Completion.of(photo_atoms, [*seen, readings_of(PAINT)])
+        calibration = calibrate(photo_atoms, found.exposed)
+        assert calibration.expected(found).ball > 2.0 * calibration.expected(alike).ball
+
+
 def test_lamps_have_unknown_strengths_unless_a_card_or_an_exposure_says_more():
     def exposures(**given):
         request = PhotoOptions(lamp=["found"], **given).request_of([Path("a.png"), Path("b.png")])
         return request.exposure, request.each
 
-    assert exposures() == (None, True)
+    assert exposures() == (None, None)  # each, unless a file states intensities
     assert exposures(exposure="free") == (None, False)
     assert exposures(exposure="2") == (2.0, False)
     assert exposures(grey="1,1,8,8,0.18") == (1.0, False)
@@ -430,7 +584,7 @@ def test_clipped_spots_are_lamps_where_the_light_is():
 
 @pytest.mark.parametrize("strength", [0.0, 40.0])
 def test_how_bright_clipped_spots_are_is_found_from_the_pixels(photo_atoms, strength):
-    lamp = Lamp.towards(np.array([0.5, 0.5, 0.7]), colour=np.full(3, 0.05))
+    lamp = Lamp.towards(np.array([0.5, 0.5, 0.7])).of_intensity(np.full(3, 0.05))
     blocks = blocks_of(photograph([0.3, 0.2, 1.0]), CIRCLE)
     sighting = Sighting(blocks, Camera(), Environment.of(environment("overcast", 64).astype(float)), [lamp])
     lit, spots = sighting.sums(photo_atoms)

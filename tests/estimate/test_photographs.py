@@ -211,11 +211,15 @@ def test_pictures_without_a_ball_end_in_one_line(run, folder, library, values, w
         ),
         (["ball.exr", "--light", "studio", "--distance", "nan"], "more than 1"),
         (["ball.exr", "--light", "studio", "--distance", "1e300"], "at most 1e+06"),
-        (["ball.exr", "--lamp", "0,0,-1"], "lights no part of the ball that the camera sees"),
+        (["ball.exr", "--lamp", "0,0,-1"], "ball.exr (0.000,0.000,-1.000): the lamp is behind the ball"),
         (
-            ["ball.exr", "--lamp", "0,0,-1", "--circle", "64,64,12"],
-            "lights no part of the ball",
-        ),  # but its limb
+            ["ball.exr", "--lamp", "lamps.txt"],
+            "lamps.txt: no such file; name a text of lines X Y Z, or give X,Y,Z",
+        ),
+        (
+            ["ball.exr", "--lamp", "0,1,0", "--cylinder", "64,64,40,80"],
+            "lights no part of the ball that the camera sees",
+        ),
         (["ball.exr", "--lamp", "0,0,1,1e200"], "expected 1.2 to 1e+06, or none"),
         (["ball.exr", "--lamp", "found", "--circle", "-500,0,10"], "expected one inside it"),
         (["ball.exr", "--light-ball", "ball.exr@-500,0,10"], "expected one inside it"),

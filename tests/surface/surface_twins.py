@@ -50,6 +50,25 @@ def photographed(rng, slope, *, noise=0.01):
     return SurfacePictures("twin", values, lamps, CAMERA, CAPTIONS, values.mean(axis=(1, 2))), albedo
 
 
+def lamps_around(count, angle_deg):
+    """Return lamps (J, 3) at one angle from the normal, at equal distances."""
+    azimuth, angle = 0.3 + np.arange(count) * 2.0 * np.pi / count, np.deg2rad(angle_deg)
+    across = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
+    return np.column_stack([np.sin(angle) * across, np.full(count, np.cos(angle))])
+
+
+def matte(rng, slope, lamps, *, noise=0.0, albedo=None, strengths=1.0):
+    """Pictures of a Lambertian surface from above, without shadows of one point on another."""
+    normal = np.concatenate([slope, np.ones((*slope.shape[:2], 1))], axis=-1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    lit = np.maximum(np.einsum("hwk,jk->jhw", normal, lamps), 0.0)[..., None]
+    values = lit * (np.array([0.5, 0.3, 0.2]) if albedo is None else albedo)
+    values = values * np.broadcast_to(strengths, len(lamps))[:, None, None, None]
+    values = np.maximum(values * np.exp(noise * rng.standard_normal(values.shape)), 1e-4)
+    unknown = np.full((len(lamps), 3), np.nan)
+    return SurfacePictures("matte", values, lamps, np.array([0.0, 0.0, 1.0]), ("",) * len(lamps), unknown)
+
+
 def workbook(path, rng, *, shift_px=0, factor=None):
     """A workbook with readings and pictures of one sample, as the instrument's program writes it."""
     _, slope = truth(rng, (240, 320))

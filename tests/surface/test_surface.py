@@ -8,7 +8,18 @@ import numpy as np
 import pytest
 from PIL import Image
 from scipy.ndimage import label
-from surface_twins import BORDER, CAPTIONS, SIZE, photographed, rendered, rough, truth, workbook
+from surface_twins import (
+    BORDER,
+    CAPTIONS,
+    SIZE,
+    lamps_around,
+    matte,
+    photographed,
+    rendered,
+    rough,
+    truth,
+    workbook,
+)
 
 from manifold.colour.picture_files import read_picture
 from manifold.core.errors import FileFormatError, UsageError
@@ -58,6 +69,106 @@ def test_lamps_around_a_sample_show_both_slopes(rng):
     )
     for axis in range(2):
         assert np.corrcoef(found.slope[..., axis].ravel(), slope[..., axis].ravel())[0, 1] > 0.99
+
+
+def steepness(found, slope):
+    """Return the ratio of found slopes to true ones, by regression."""
+    return np.polyfit(slope.ravel(), found.ravel(), 1)[0]
+
+
+@pytest.mark.parametrize("angle_deg", [5.0, 15.0, 30.0, 45.0, 60.0])
+@pytest.mark.parametrize("count", [3, 4, 8])
+def test_slopes_of_a_matte_relief_are_exact_whatever_the_angle_of_the_lamps(angle_deg, count, rng):
+    _, slope = truth(rng, (96, 110))
+    found = estimate_surface(matte(rng, slope, lamps_around(count, angle_deg)))
+    # 3 pictures leave no residual: their noise is taken from neighbouring pixels, which differ by the relief as well.
+    np.testing.assert_allclose(found.slope, slope, atol=0.005 if count == 3 else 2e-3)
+    assert steepness(found.slope, slope) == pytest.approx(1.0, abs=0.01)
+    assert np.std(found.albedo) < 5e-4
+    assert np.all(found.slope_std < 0.02)
+
+
+def test_slopes_of_a_matte_relief_are_exact_for_coloured_points_and_lamps_of_any_strength_and_angle(rng):
+    _, slope = truth(rng, (96, 110))
+    albedo = np.exp(0.4 * rough(rng, (96, 110)))[..., None] * np.array([0.5, 0.2, 0.05])
+    albedo[:, :55] = albedo[:, :55, ::-1]
+    lamps = np.vstack([lamps_around(5, 20.0), lamps_around(4, 50.0), [[0.0, 0.0, 1.0]]])
+    found = estimate_surface(matte(rng, slope, lamps, albedo=albedo, strengths=rng.uniform(0.3, 3.0, 10)))
+    np.testing.assert_allclose(found.slope, slope, atol=3e-3)
+    np.testing.assert_allclose(found.albedo, albedo / albedo.mean(axis=(0, 1)), rtol=5e-3)
+    lamp = lamps_around(1, 40.0)[0]
+    (true,) = matte(rng, slope, lamp[None], albedo=albedo).values
+    np.testing.assert_allclose(found.lit(lamp, true.mean(axis=(0, 1))), true, rtol=0.01)
+
+
+@pytest.mark.parametrize(("count", "noise"), [(8, 0.02), (8, 0.1), (3, 0.05)])
+def test_noisy_slopes_shrink_as_far_as_their_noise_requires(count, noise, rng):
+    _, slope = truth(rng, (128, 128))
+    lamps = lamps_around(count, 30.0)
+    found = estimate_surface(matte(rng, slope, lamps, noise=noise))
+    off = np.sqrt(np.mean((found.slope - slope) ** 2))
+    # Wiener: noise n and slopes s leave s n / sqrt(s^2 + n^2); n = noise / (tan(30) sqrt(J / 2) sqrt(3 channels)).
+    n = noise / (np.tan(np.pi / 6.0) * np.sqrt(count / 2.0) * np.sqrt(3.0))
+    assert off < 1.15 * 0.1 * n / np.hypot(0.1, n)
+    np.testing.assert_allclose(found.slope_std, off, rtol=0.25)
+
+
+def test_shadows_and_glints_in_some_pictures_leave_slopes_right(rng):
+    _, slope = truth(rng, (96, 110))
+    pictures = matte(rng, slope, lamps_around(12, 40.0), noise=0.01)
+    values = pictures.values.copy()
+    values[rng.random(values.shape[:3]) < 0.04] *= 0.1
+    values[rng.random(values.shape[:3]) < 0.04] *= 4.0
+    found = estimate_surface(replace(pictures, values=values))
+    off = np.abs(found.slope - slope)
+    assert np.median(off) < 0.005
+    assert np.quantile(off, 0.9) < 0.02  # 5 standard deviations of the noise
+
+
+def test_one_row_of_lamps_leaves_slopes_across_it_to_integrability(rng):
+    _, slope = truth(rng, (96, 110))
+    angle = np.deg2rad([-50.0, -30.0, -10.0, 20.0, 40.0])
+    lamps = np.column_stack([0.0 * angle, np.sin(angle), np.cos(angle)])
+    found = estimate_surface(matte(rng, slope, lamps))
+    assert steepness(found.slope[..., 1], slope[..., 1]) == pytest.approx(1.0, abs=0.01)
+    assert np.abs(found.slope[..., 0]).max() < 1e-6
+    assert found.slope_std[0] == pytest.approx(0.1, rel=0.2)  # as steep as those along the row
+    assert np.corrcoef(found.relief[..., 0].ravel(), slope[..., 0].ravel())[0, 1] > 0.6
+
+
+@pytest.mark.parametrize("angle_deg", [15, 60])
+def test_photographs_of_a_matte_relief_become_textures_with_its_slopes(angle_deg, tmp_path, rng):
+    at = np.arange(256) * 2.0 * np.pi / 16.0
+    slope = 0.1 * np.sqrt(2.0) * np.stack(np.broadcast_arrays(np.cos(at), np.cos(at)[:, None]), axis=-1)
+    lamps = lamps_around(8, angle_deg)
+    files = [tmp_path / f"{j}.png" for j in range(8)]
+    for path, values in zip(files, matte(rng, slope, lamps, albedo=np.ones(3) * 0.8).values, strict=True):
+        codes = (values[..., 0] * 65535.0).astype(np.uint16)  # 16 bits without a colour space are linear
+        Image.fromarray(codes).save(path)
+    np.savetxt(tmp_path / "lamps.txt", lamps)
+    surface = estimate_surface(read_folder(files, tmp_path / "lamps.txt"))
+    np.testing.assert_allclose(surface.relief.std(axis=(0, 1)), 0.1, rtol=0.002)
+    textures = tile(surface, 256)
+    np.testing.assert_allclose(
+        textures.slope.std(axis=(0, 1)), 0.1, rtol=0.03
+    )  # seams of the quilt are blended
+    assert textures.albedo.std(axis=(0, 1)).max() < 1e-4
+
+
+def test_slopes_of_heights_are_their_derivatives():
+    row, column = (
+        4.0 * np.pi / 65.0 * (np.arange(65)[:, None] + 0.5),
+        20.0 * np.pi / 80.0 * (np.arange(80) + 0.5),
+    )
+    slope = np.stack(
+        [
+            20.0 * np.pi / 80.0 * np.cos(row) * np.sin(column),
+            -4.0 * np.pi / 65.0 * np.sin(row) * np.cos(column),
+        ],
+        axis=-1,
+    )
+    np.testing.assert_allclose(estimate._slopes_of(np.cos(row) * np.cos(column)), slope, atol=1e-12)
+    np.testing.assert_allclose(integrated(slope, np.ones(2)), np.cos(row) * np.cos(column), atol=1e-12)
 
 
 def test_a_lamp_that_was_left_out_is_predicted_better_than_by_the_mean_of_the_others(rng):
@@ -357,7 +468,10 @@ def test_a_folder_of_pictures_and_a_table_of_lamps_are_read(rng, tmp_path):
     with pytest.raises(UsageError, match="found 2 lamps for 3 pictures"):
         read_folder(files, lamps)
     lamps.write_text("1 0 1\n0 1 1\n0 0 -1\n")
-    with pytest.raises(UsageError, match="z above 0"):
+    with pytest.raises(UsageError, match=r"^2\.png .*: the lamp is behind the surface, expected z above 0"):
+        read_folder(files, lamps)
+    lamps.write_text("1 0 1\n0 1 0\n1 0 -1\n")
+    with pytest.raises(UsageError, match=r"^1\.png .*, 2\.png .*: the lamp is behind the surface"):
         read_folder(files, lamps)
 
 

@@ -254,6 +254,24 @@ UnitOption = Annotated[
         metavar="UNIT",
     ),
 ]
+LinearOption = Annotated[
+    bool, typer.Option("--linear", help="Read pictures as linear values, whatever their files say.")
+]
+EncodedOption = Annotated[
+    bool,
+    typer.Option(
+        "--encoded",
+        help="Read pictures as encoded for a display, whatever their files say; .exr, .hdr and .pfm are always linear. "
+        "By default, 8 bits without a colour space are sRGB, 16 bits and floats linear.",
+    ),
+]
+
+
+def are_linear(linear: bool, encoded: bool) -> bool | None:
+    """Return what `--linear` and `--encoded` say about pictures; None without them."""
+    if linear and encoded:
+        raise UsageError("--linear and --encoded, expected one of them")
+    return linear if linear or encoded else None
 
 
 def material_source(text: str, model: Path, library: Path | None) -> MaterialSource:

@@ -140,10 +140,8 @@ class PhotoOptions:
             rich_help_panel=TAKEN,
         ),
     ] = None
-    linear: Annotated[
-        bool,
-        typer.Option("--linear", help="Read the values of all pictures as linear.", rich_help_panel=TAKEN),
-    ] = False
+    linear: options.LinearOption = False
+    encoded: options.EncodedOption = False
     dark: Annotated[
         Path | None,
         typer.Option(
@@ -186,7 +184,8 @@ class PhotoOptions:
         far = float("inf") if self.distance is None else self.distance
         return PhotoRequest(
             list(pictures), self.light or (), self.cylinder or self.circle or (), self.turn or (0.0,), self.elevation,
-            far, known, self.camera, self.lamp or (), exposure == "each", self.grey, self.linear, self.dark,
+            far, known, self.camera, self.lamp or (), exposure == "each", self.grey,
+            options.are_linear(self.linear, self.encoded), self.dark,
             self.light_ball or (),
         )  # fmt: skip
 
@@ -202,7 +201,7 @@ def photograph(
     pictures: Annotated[
         list[Path] | None,
         typer.Argument(
-            help="Pictures of one ball: .exr or .tif (linear), .png or .jpg (sRGB), or raw files of a camera.",
+            help="Pictures of one ball: .exr, .hdr, .tif, .png or .jpg, or raw files of a camera.",
             metavar="PICTURE",
             show_default=False,
         ),

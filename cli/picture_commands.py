@@ -295,6 +295,8 @@ def render(
     size: SizeOption = 256,
     samples: SamplesOption = 64,
     seed: SeedOption = 0,
+    linear: options.LinearOption = False,
+    encoded: options.EncodedOption = False,
     workers: OneWorkerOptions = ONE,
     json: options.JsonOption = None,
 ) -> None:
@@ -307,8 +309,9 @@ def render(
 
     results = terminal.Results(json)
     settings = make_settings(
-        size=size, samples=samples, seed=seed, illuminant=illuminant, environment=environment
-    )
+        size=size, samples=samples, seed=seed, illuminant=illuminant, environment=environment,
+        is_linear=options.are_linear(linear, encoded),
+    )  # fmt: skip
     if points is not None:
         if materials or colour != options.OWN_COLOUR:
             raise UsageError("found --from and a material or colour; write these into columns of the table")
@@ -363,6 +366,8 @@ def compare(
     size: SizeOption = 256,
     samples: SamplesOption = 96,
     seed: SeedOption = 0,
+    linear: options.LinearOption = False,
+    encoded: options.EncodedOption = False,
     json: options.JsonOption = None,
 ) -> None:
     """Put two pictures side by side, with maps of CIEDE2000 and FLIP; materials are first rendered in the same light.
@@ -376,11 +381,12 @@ def compare(
     from manifold.render.ball import make_settings
 
     results = terminal.Results(json)
+    is_linear = options.are_linear(linear, encoded)
     settings = make_settings(
-        size=size, samples=samples, seed=seed, illuminant=illuminant, environment=environment
-    )
+        size=size, samples=samples, seed=seed, illuminant=illuminant, environment=environment, is_linear=is_linear
+    )  # fmt: skip
     with progress.shown("Comparing"):
         sources = [options.material_source(text, model, library) for text in (a, b)]
-        made = renders.compare(sources[0], sources[1], output, settings)
+        made = renders.compare(sources[0], sources[1], output, settings, is_linear=is_linear)
     results.rows(f"Compared {made.a} and {made.b} in {output}", made.rows)
     results.document(made)

@@ -72,7 +72,8 @@ class PhotoRequest:
             photographs.
         each: whether every photograph has its own exposure.
         grey: grey card that faces the camera beside the ball, `X,Y,W,H,REFLECTANCE`, in pixels; None without one.
-        is_linear: whether the files hold linear values, whatever their format.
+        is_linear: whether the values of all files are linear, or encoded for a display, see
+            `colour.picture_files.read_picture`; None as each file says.
         dark: photograph without light, which is subtracted from all others; None without one.
         light_balls: photographs of a mirror ball by the same camera, in place of environments, `PICTURE` or
             `PICTURE@X,Y,R` with its outline.
@@ -89,7 +90,7 @@ class PhotoRequest:
     lamps: Sequence[str] = ()
     each: bool = False
     grey: str | None = None
-    is_linear: bool = False
+    is_linear: bool | None = None
     dark: Path | None = None
     light_balls: Sequence[str] = ()
 
@@ -198,7 +199,7 @@ def see(request: PhotoRequest) -> tuple[SeenBall, ...]:
         read = {text: _around(text, camera, request.is_linear) for text in dict.fromkeys(lights)}
     else:
         lights = _for_each(n, request.lights, "lights")
-        read = {name: (*_light(name), ()) for name in dict.fromkeys(lights)}
+        read = {name: (*_light(name, request.is_linear), ()) for name in dict.fromkeys(lights)}
     balls = []
     for photograph, light, text, turn_deg in zip(photographs, lights, circles, turns, strict=True):
         circle, doubts = _outline_of([photograph], text)
@@ -353,13 +354,13 @@ def _for_each(n: int, values: Sequence[Any], what: str) -> list[Any]:
     return list(values) * (n if len(values) == 1 else 1)
 
 
-def _light(name: str) -> tuple[Array, Environment, tuple[str, ...]]:
+def _light(name: str, is_linear: bool | None) -> tuple[Array, Environment, tuple[str, ...]]:
     """Return an environment by its file or name, as a picture and for sampling, and notes."""
     notes: tuple[str, ...] = ()
     if name in ENVIRONMENTS and not Path(name).is_file():
         image = environment(name, 256).astype(float)
     else:
-        picture = read_picture(Path(name))
+        picture = read_picture(Path(name), is_linear)
         image = np.where(picture.is_opaque[..., None], picture.values, np.nan).astype(float)
         notes = picture.notes
         count = np.count_nonzero(picture.is_clipped)
@@ -377,7 +378,7 @@ def _light(name: str) -> tuple[Array, Environment, tuple[str, ...]]:
 
 
 def _around(
-    text: str, camera: Camera, is_linear: bool
+    text: str, camera: Camera, is_linear: bool | None
 ) -> tuple[Array, Environment, tuple[str, ...], Sequence[Lamp]]:
     """Return a photographed mirror ball's environment: as a picture, for sampling, notes, and clipped spots."""
     name, _, given = (text, "", "") if Path(text).is_file() else text.rpartition("@")

@@ -11,6 +11,7 @@ import numpy as np
 
 from manifold.colour import colour_spaces
 from manifold.colour.colour_spaces import SRGB, ColourSpace
+from manifold.colour.saturation import find_plateau
 from manifold.core.errors import FileFormatError, MissingFileError
 from manifold.core.extras import require
 from manifold.core.names import first_few
@@ -39,6 +40,7 @@ _EXIF_SRGB, _EXIF_ADOBE, _ADOBE = (
     2,
     "R03",
 )  # values of the first, and the interoperability index of Adobe RGB
+_FULL = 0.98  # share of the largest code above which a plateau is that of the code
 _PLATEAU = 4  # pixels of the very same largest value may be clipped
 
 
@@ -51,7 +53,7 @@ class Image:
             sRGB have negative values.
         is_opaque: whether each pixel is not transparent, shape (H, W).
         is_clipped: whether each pixel may have been brighter than its value, shape (H, W): integers at their largest
-            value, or floats if at least four pixels have the largest value.
+            value, floats if at least four pixels have the largest value, and plateaus if they were searched for.
         is_encoded: whether the file has display values, which were decoded.
         is_certain: whether that follows from the format or was given; a statement of the file may be wrong.
         is_guessed: whether that was guessed, because the file does not say.
@@ -70,7 +72,7 @@ class Image:
     notes: tuple[str, ...] = ()
 
 
-def read_picture(path: Path, is_linear: bool | None = None) -> Image:
+def read_picture(path: Path, is_linear: bool | None = None, *, finds_plateaus: bool = False) -> Image:
     """Read a picture as linear sRGB.
 
     Every file is read in the colour space that it states: by a profile, by chunks of PNG, by tags of Exif or TIFF, or
@@ -85,6 +87,7 @@ def read_picture(path: Path, is_linear: bool | None = None) -> Image:
         path: a picture; its format follows from its content.
         is_linear: whether the values are linear, or encoded for a display, whatever the file says; None to follow the
             file. It does not change the primaries.
+        finds_plateaus: whether to search for saturated pixels below the largest code, as photographs may have.
 
     Raises:
         MissingFileError: there is no such file.
@@ -93,14 +96,14 @@ def read_picture(path: Path, is_linear: bool | None = None) -> Image:
     if not path.is_file():
         raise MissingFileError(f"{path}: no such file; name a picture (.exr, .hdr, .tif, .png, .jpg)")
     if path.suffix.lower() in RAW_SUFFIXES:
-        return _read_raw(path)
+        return _read_raw(path, finds_plateaus)
     try:
-        return _read(path, _kind(path), is_linear)
+        return _read(path, _kind(path), is_linear, finds_plateaus)
     except UnicodeDecodeError as error:  # of names, or of messages of OpenImageIO with parts of the file
         raise _unreadable(path, "a damaged header") from error
 
 
-def _read(path: Path, kind: str, is_linear: bool | None) -> Image:
+def _read(path: Path, kind: str, is_linear: bool | None, finds_plateaus: bool) -> Image:
     OpenImageIO = require("OpenImageIO")
 
     OpenImageIO.attribute("threads", 1)  # processes that are forked have no threads
@@ -126,7 +129,10 @@ def _read(path: Path, kind: str, is_linear: bool | None) -> Image:
         alpha = stored[..., spec.alpha_channel]
         opaque = alpha >= _CODES.get(str(alpha.dtype), 1.0)
     codes = stored[..., colours]
-    clipped = _clipped(codes, is_float)
+    clipped, notes = _clipped(codes, is_float), coding.notes
+    if finds_plateaus:
+        on_plateau, found = _on_plateaus(path, codes)
+        clipped, notes = clipped | on_plateau, notes + found
     values = _linear(codes, coding.curves, space.to_srgb)
     if 0.0 < (exposure := spec.get_float_attribute("hdr:exposure", 1.0)) < np.inf and exposure != 1.0:
         values /= np.float32(exposure)
@@ -143,7 +149,7 @@ def _read(path: Path, kind: str, is_linear: bool | None) -> Image:
         coding.is_certain,
         coding.is_guessed,
         is_grey,
-        coding.notes,
+        notes,
     )
 
 
@@ -184,15 +190,17 @@ def _coding(path: Path, space: ColourSpace, kind: str, stored: str, is_linear: b
         notes = (f"{name}: read as {space.name}; {tone}",) if curves else ()
         return _Coding(curves or (), is_linear is not None, False, notes)
     if stored == "uint8":
-        words = f"{name}: read as {space.name}; {tone}; it states no tone curve: add --linear if 8 bits are linear"
+        words = (
+            f"{name}: read as {space.name}; {tone}; the file states no encoding, add --linear if it is linear"
+        )
         return _Coding(SRGB.curves or (), False, True, (words,))
     if stored == "uint16":
-        words = f"{name}: 16 bits without a tone curve: read as linear; add --encoded if they are not"
+        words = f"{name}: read as linear; the file states no encoding, add --encoded if it is encoded"
         return _Coding((), False, True, (words,))
     return _Coding((), False, True, ())
 
 
-def _read_raw(path: Path) -> Image:
+def _read_raw(path: Path, finds_plateaus: bool) -> Image:
     """Read a raw file, developed without curves."""
     rawpy = require("rawpy")
     try:
@@ -211,7 +219,10 @@ def _read_raw(path: Path) -> Image:
         raise _unreadable(path, str(error)) from error
     clipped: Mask = np.any(codes >= _RAW_WHITE * _MOST_CODE, axis=2)
     values = (np.asarray(codes) / _MOST_CODE).astype(np.float32)
-    notes = (f"{path.name}: developed with the camera's white balance",)
+    notes: tuple[str, ...] = (f"{path.name}: developed with the camera's white balance",)
+    if finds_plateaus:
+        on_plateau, found = _on_plateaus(path, codes)
+        clipped, notes = clipped | on_plateau, notes + found
     return Image(path, values, np.full(clipped.shape, True), clipped, False, True, False, False, notes)
 
 
@@ -349,6 +360,29 @@ def _clipped(codes: Array, is_float: bool) -> Mask:
     if is_float:
         clipped &= np.count_nonzero(clipped) >= _PLATEAU
     return clipped
+
+
+def _on_plateaus(path: Path, codes: Array) -> tuple[Mask, tuple[str, ...]]:
+    """Return which pixels of stored codes or floats (H, W, 3) lie on plateaus, shape (H, W), and a note about them."""
+    full = _CODES.get(str(codes.dtype), 1)
+    found = {}
+    for c in range(3):
+        if c and np.array_equal(codes[..., c], codes[..., 0]):  # grey
+            continue
+        if (plateau := find_plateau(codes[..., c])) is not None:
+            found["RGB"[c]] = plateau
+    pixels = np.logical_or.reduce([np.zeros(codes.shape[:2], bool), *(one.pixels for one in found.values())])
+    below = [
+        f"{name} {one.level / full:.3g}"
+        for name, one in found.items()
+        if one.level < _FULL * full or full == 1
+    ]
+    if not below:
+        return pixels, ()
+    return pixels, (
+        f"{path.name}: {np.count_nonzero(pixels)} pixels lie on a plateau ({', '.join(below)} of the largest code) and "
+        "are treated as clipped: they may have been brighter",
+    )
 
 
 def _linear(codes: Array, curves: tuple[colour_spaces.Curve, ...], to_srgb: Array | None) -> Array:

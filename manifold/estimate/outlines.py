@@ -69,7 +69,7 @@ class Photograph:
 
 def read_photograph(path: Path, is_linear: bool | None = None) -> Photograph:
     """Read a photograph, see `colour.picture_files.read_picture`."""
-    picture = read_picture(path, is_linear)
+    picture = read_picture(path, is_linear, finds_plateaus=True)
     height, width = picture.values.shape[:2]
     if min(height, width) < _LEAST_SIZE:
         raise FileFormatError(

@@ -147,7 +147,7 @@ def read_folder(pictures: Sequence[Path], lamps: Path, is_linear: bool | None = 
 
     def read() -> Iterable[Array]:
         for path, lamp in zip(pictures, found, strict=True):
-            picture = read_picture(path, is_linear)
+            picture = read_picture(path, is_linear, finds_plateaus=True)
             told.append((path.name, (*picture.notes, *_clipped(picture))))
             yield picture.values / lamp.colour
 

@@ -26,7 +26,12 @@ from manifold.estimate.lamps import (
     parse_lamp,
     unwrapped,
 )
-from manifold.estimate.light_probe import doubt_encoding, find_light, given_lamp_notes
+from manifold.estimate.light_probe import (
+    doubt_encoding,
+    find_light,
+    given_encoding_notes,
+    given_lamp_notes,
+)
 from manifold.estimate.outlines import (
     Circle,
     Cylinder,
@@ -237,6 +242,9 @@ def _under_lamps(
             outlines = [_outline_of(photographs, circles[0])] * len(photographs)
         else:
             outlines = [_outline_of([one], text) for one, text in zip(photographs, circles, strict=True)]
+        if not request.has_cylinder:
+            found = [circle for circle, _ in outlines]
+            warnings = given_encoding_notes(photographs, found, lamps, are_given=all(circles))
     if request.grey is None:
         notes += (
             "the lamp is assumed to be white; a coloured lamp changes the material's colour; correct the picture's "
@@ -250,7 +258,7 @@ def _under_lamps(
             _require_possible(seen, circle, request.grey)
         sighting = Sighting(blocks_of(seen, circle, len(photographs)), camera, (lamp,))
         own = photograph.notes + notes + doubts
-        if apart is None and not isinstance(circle, Cylinder):
+        if apart is None and not warnings and not isinstance(circle, Cylinder):
             own += given_lamp_notes(photograph, circle, lamp)
         if np.mean(sighting.pairs[2] / lamp.colour) < _LEAST_LIGHT:  # the lamp's own size lights the limb
             raise UsageError(

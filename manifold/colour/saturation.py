@@ -26,6 +26,9 @@ _OF_BYTES = 257  # of which 16-bit codes are multiples that were eight bits
 _EXACT = 0.9  # share of a plateau's pixels that have the very same value
 _WIDER = 1.1  # least ratio of pixels for which a plateau is taken to be wider
 _NEAR, _LEAST_NEAR, _FAR = 0.12, 2.0, 0.5  # distances from a plateau, relative to its radius, and in pixels
+_CUT_OFF = (
+    0.4  # largest share of a plateau's outline on the edge of the picture; of a background it is one half
+)
 _LEAST_FALL = 0.15  # share of the fall from a plateau to its surroundings that is farther away than its edge
 
 
@@ -83,10 +86,21 @@ def _plateaus(values: Array, top: float, width: float, is_fine: bool) -> Mask:
     places = find_objects(labels)
     for k in np.flatnonzero(many[1:]) + 1:
         part = labels == k  # without the holes that noise makes
+        if _is_background(part):
+            continue
         is_exact = is_fine and np.count_nonzero(values[part] == top) > _EXACT * flat[k]
         if is_exact or _falls_off(values, part, places[k - 1], top):
             found |= on & part
     return found
+
+
+def _is_background(part: Mask) -> bool:
+    """Return whether much of the outline of a part of a picture is the picture's own."""
+    inside = np.pad(part, 1)
+    around = binary_dilation(inside) & ~inside
+    return bool(
+        np.count_nonzero(around) - np.count_nonzero(around[1:-1, 1:-1]) > _CUT_OFF * np.count_nonzero(around)
+    )
 
 
 def _falls_off(values: Array, plateau: Mask, place: tuple[slice, slice], top: float) -> bool:

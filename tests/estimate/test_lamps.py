@@ -181,7 +181,7 @@ def test_encoded_pictures_that_are_read_as_linear_are_noted():
 )
 def test_given_lamps_say_how_pictures_are_encoded(codes_of, read, option):
     """Correct lamps disagree with the shading where values are read wrongly; wrong lamps do so in either reading."""
-    direction = np.array([-0.8, 0.4, 0.6])
+    direction = np.array([0.5, 0.3, 1.0])
     picture = read(stored(MATTE, direction, codes_of))
     notes = given_encoding_notes([picture], [CIRCLE], [Lamp.towards(direction)], are_given=True)
     assert [f"add {option}," in note for note in notes] == [True] * (option is not None)

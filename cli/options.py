@@ -254,17 +254,23 @@ UnitOption = Annotated[
         metavar="UNIT",
     ),
 ]
-LinearOption = Annotated[
-    bool, typer.Option("--linear", help="Read pictures as linear values, whatever their files say.")
-]
-EncodedOption = Annotated[
-    bool,
-    typer.Option(
+
+
+def linear_option(panel: str | None = None) -> Any:
+    """Return the option `--linear` for an annotation."""
+    return typer.Option(
+        "--linear", help="Read pictures as linear values, whatever their files say.", rich_help_panel=panel
+    )
+
+
+def encoded_option(panel: str | None = None) -> Any:
+    """Return the option `--encoded` for an annotation."""
+    return typer.Option(
         "--encoded",
         help="Read pictures as encoded for a display, whatever their files say; .exr, .hdr and .pfm are always linear. "
         "By default, 8 bits without a colour space are sRGB, 16 bits and floats linear.",
-    ),
-]
+        rich_help_panel=panel,
+    )
 
 
 def are_linear(linear: bool, encoded: bool) -> bool | None:

@@ -140,8 +140,8 @@ class PhotoOptions:
             rich_help_panel=TAKEN,
         ),
     ] = None
-    linear: options.LinearOption = False
-    encoded: options.EncodedOption = False
+    linear: Annotated[bool, options.linear_option(TAKEN)] = False
+    encoded: Annotated[bool, options.encoded_option(TAKEN)] = False
     dark: Annotated[
         Path | None,
         typer.Option(

@@ -295,8 +295,8 @@ def render(
     size: SizeOption = 256,
     samples: SamplesOption = 64,
     seed: SeedOption = 0,
-    linear: options.LinearOption = False,
-    encoded: options.EncodedOption = False,
+    linear: Annotated[bool, options.linear_option(LIGHT)] = False,
+    encoded: Annotated[bool, options.encoded_option(LIGHT)] = False,
     workers: OneWorkerOptions = ONE,
     json: options.JsonOption = None,
 ) -> None:
@@ -366,8 +366,8 @@ def compare(
     size: SizeOption = 256,
     samples: SamplesOption = 96,
     seed: SeedOption = 0,
-    linear: options.LinearOption = False,
-    encoded: options.EncodedOption = False,
+    linear: Annotated[bool, options.linear_option(LIGHT)] = False,
+    encoded: Annotated[bool, options.encoded_option(LIGHT)] = False,
     json: options.JsonOption = None,
 ) -> None:
     """Put two pictures side by side, with maps of CIEDE2000 and FLIP; materials are first rendered in the same light.

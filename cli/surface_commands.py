@@ -47,8 +47,8 @@ def surface(
             metavar="FILE",
         ),
     ] = None,
-    linear: options.LinearOption = False,
-    encoded: options.EncodedOption = False,
+    linear: Annotated[bool, options.linear_option()] = False,
+    encoded: Annotated[bool, options.encoded_option()] = False,
     size: Annotated[
         int, typer.Option(help="Width and height of the textures, in pixels.", metavar="N", min=192, max=8192)
     ] = 1024,

@@ -601,11 +601,17 @@ class _Pixels:
         names = [one.path.name for one in photographs]
         lost = [name for name, one in zip(names, residual, strict=True) if one > most_residual]
         if lost:
-            is_encoded = any(one.is_encoded and not one.is_certain for one in photographs)
+            hints = [
+                "; add --linear if its values are linear"
+                if one.is_encoded
+                else "; add --encoded if its values are sRGB"
+                for one in photographs
+                if not one.is_certain
+            ]
             raise UsageError(
                 f"{', '.join(lost)}: no single lamp explains the ball (residual {percent(residual.max())}, expected at "
                 f"most {percent(most_residual)}); give its --circle, or the lamp by --lamp X,Y,Z or the light "
-                "by --light" + "; add --linear if its values are linear" * is_encoded
+                "by --light" + "".join(hints[:1])
             )
         covariance = np.linalg.pinv(fit.curvature)
         deviation = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))

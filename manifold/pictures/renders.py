@@ -14,7 +14,7 @@ import numpy as np
 
 from manifold import __version__
 from manifold.colour.conversion import warn_if_invisible
-from manifold.colour.picture_files import read_picture
+from manifold.colour.picture_files import notes_together, read_picture
 from manifold.colour.reflectances import ReflectanceSpectrum
 from manifold.core import shipped
 from manifold.core.errors import UsageError
@@ -236,7 +236,7 @@ def compare(
     if pictures:
         read = [read_picture(path, is_linear) for path in pictures]
         first, second = (images.as_display(picture) for picture in read)
-        diagnostics += [note for picture in read if picture.is_guessed for note in picture.notes]
+        diagnostics += notes_together((one.path.name, one.notes) for one in read if one.is_guessed)
         names = (pictures[0].name, pictures[1].name)
     else:
         stages = Stages({"": 1, "rendering": 2, "rendering the other": 2})

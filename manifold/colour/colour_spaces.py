@@ -88,7 +88,7 @@ def named(name: str) -> ColourSpace | None:
         "lin": (), "srgb": (decode_srgb,), "g18": power(1.8), "g22": power(2.2), "g24": power(2.4), "g26": power(2.6),
     }.get(curve)  # fmt: skip
     primaries = rest.partition("_")[0]
-    if name.lower() == "linear":
+    if name.lower() in ("linear", "lin_srgb", "scene_linear"):
         return ColourSpace("linear sRGB", ())
     if curves is None or primaries not in _PRIMARIES:
         return None
@@ -146,7 +146,8 @@ def of_profile(profile: bytes, name: str) -> ColourSpace | None:
     except (KeyError, ValueError, IndexError, struct.error):
         return None
     codes = np.linspace(0.0, 1.0, 256)
-    linear = np.array([curve(codes) for curve in curves])
+    with np.errstate(all="ignore"):  # of curves in damaged profiles
+        linear = np.array([curve(codes) for curve in curves])
     if not np.isfinite(linear).all():
         return None
     if np.abs(linear - codes).max() < _SAME_CURVE:
@@ -155,7 +156,8 @@ def of_profile(profile: bytes, name: str) -> ColourSpace | None:
         curves = (decode_srgb,)
     if to_srgb is not None and np.abs(to_srgb - np.eye(3)).max() < _SAME:
         to_srgb = None
-    return ColourSpace(name, curves, to_srgb)
+    is_srgb = to_srgb is None and curves == (decode_srgb,)
+    return SRGB if is_srgb else ColourSpace(name, curves, to_srgb)
 
 
 def _tags(profile: bytes) -> dict[bytes, bytes]:

@@ -14,7 +14,7 @@ from manifold.colour.colour_spaces import SRGB, ColourSpace
 from manifold.colour.saturation import find_plateau
 from manifold.core.errors import FileFormatError, MissingFileError
 from manifold.core.extras import require
-from manifold.core.names import first_few
+from manifold.core.names import first_few, percent
 from manifold.core.picture_bytes import KINDS, tags
 from manifold.core.records import Array, Mask
 
@@ -40,6 +40,10 @@ _EXIF_SRGB, _EXIF_ADOBE, _ADOBE = (
     2,
     "R03",
 )  # values of the first, and the interoperability index of Adobe RGB
+_OUTSIDE, _FEW_OUTSIDE = (
+    0.02,
+    0.01,
+)  # how far colours are outside sRGB that count, and the share of pixels that is noted
 _FULL = 0.98  # share of the largest code above which a plateau is that of the code
 _PLATEAU = 4  # pixels of the very same largest value may be clipped
 
@@ -49,8 +53,8 @@ class Image:
     """A picture in linear values.
 
     Attributes:
-        values: linear sRGB, shape (H, W, 3), float32; transparent pixels have the values of the file. Colours outside
-            sRGB have negative values.
+        values: linear sRGB, shape (H, W, 3), float32; transparent pixels have the values of the file. Colours that
+            the conversion leaves outside sRGB have 0 where they would be negative.
         is_opaque: whether each pixel is not transparent, shape (H, W).
         is_clipped: whether each pixel may have been brighter than its value, shape (H, W): integers at their largest
             value, floats if at least four pixels have the largest value, and plateaus if they were searched for.
@@ -132,8 +136,10 @@ def _read(path: Path, kind: str, is_linear: bool | None, finds_plateaus: bool) -
     clipped, notes = _clipped(codes, is_float), coding.notes
     if finds_plateaus:
         on_plateau, found = _on_plateaus(path, codes)
-        clipped, notes = clipped | on_plateau, notes + found
-    values = _linear(codes, coding.curves, space.to_srgb)
+        clipped, notes = clipped | on_plateau, found + notes
+    values = _linear(codes, coding.curves)
+    if space.to_srgb is not None:
+        notes += _convert(path, values, space)
     if 0.0 < (exposure := spec.get_float_attribute("hdr:exposure", 1.0)) < np.inf and exposure != 1.0:
         values /= np.float32(exposure)
     turn = spec.get_int_attribute("Orientation", 1)
@@ -181,7 +187,7 @@ def _coding(path: Path, space: ColourSpace, kind: str, stored: str, is_linear: b
     """Return how values become linear, in this order: by the format, as asked for, as the file states, by a guess."""
     name, tone = path.name, "the camera's tone curve and colour settings are not reversed"
     if kind in _LINEAR and not space.curves:
-        notes = (f"{name}: linear by its format, --encoded does not change it",) * (is_linear is False)
+        notes = (f"{name}: linear by its format; --encoded does not change it",) * (is_linear is False)
         return _Coding((), True, False, notes)
     if is_linear:
         return _Coding((), True, False, (f"{name}: values read as linear",))
@@ -222,7 +228,7 @@ def _read_raw(path: Path, finds_plateaus: bool) -> Image:
     notes: tuple[str, ...] = (f"{path.name}: developed with the camera's white balance",)
     if finds_plateaus:
         on_plateau, found = _on_plateaus(path, codes)
-        clipped, notes = clipped | on_plateau, notes + found
+        clipped, notes = clipped | on_plateau, found + notes
     return Image(path, values, np.full(clipped.shape, True), clipped, False, True, False, False, notes)
 
 
@@ -385,8 +391,24 @@ def _on_plateaus(path: Path, codes: Array) -> tuple[Mask, tuple[str, ...]]:
     )
 
 
-def _linear(codes: Array, curves: tuple[colour_spaces.Curve, ...], to_srgb: Array | None) -> Array:
-    """Return linear sRGB, float32, of stored codes or floats (H, W, 3)."""
+def _convert(path: Path, values: Array, space: ColourSpace) -> tuple[str, ...]:
+    """Convert linear values (H, W, 3) of a space to sRGB in place; return a note if many colours are outside sRGB."""
+    assert space.to_srgb is not None
+    outside = 0
+    for row in values:
+        row[...] = row @ space.to_srgb
+        outside += int(np.count_nonzero(row.min(axis=1) < -_OUTSIDE * row.max(axis=1)))
+        np.maximum(row, 0.0, out=row)
+    share = outside / max(values.shape[0] * values.shape[1], 1)
+    if share < _FEW_OUTSIDE:
+        return ()
+    return (
+        f"{path.name}: {percent(share)} of the pixels have colours outside sRGB, where a channel is set to 0",
+    )
+
+
+def _linear(codes: Array, curves: tuple[colour_spaces.Curve, ...]) -> Array:
+    """Return linear values, float32, of stored codes or floats (H, W, 3)."""
     full = _CODES.get(str(codes.dtype), 1)
     each = curves or ((lambda stored: stored),)
     values = np.empty(codes.shape, np.float32)
@@ -398,8 +420,6 @@ def _linear(codes: Array, curves: tuple[colour_spaces.Curve, ...], to_srgb: Arra
             row[...] = tables[channel, stored]
         else:
             row[...] = np.stack([each[c % len(each)](stored[:, c]) for c in range(3)], axis=1)
-        if to_srgb is not None:
-            row[...] = row @ to_srgb
     return values
 
 

@@ -181,7 +181,7 @@ P3, ADOBE = "Display P3", "Adobe RGB (1998)"
 
 def converted(linear, space):
     """Linear values of a space in linear sRGB, by colour-science."""
-    return linear @ colour.matrix_RGB_to_RGB(space, "sRGB", "Bradford").T
+    return np.maximum(linear @ colour.matrix_RGB_to_RGB(space, "sRGB", "Bradford").T, 0.0)
 
 
 @pytest.mark.parametrize("space", [P3, ADOBE])
@@ -206,6 +206,16 @@ def test_profiles_of_other_primaries_are_converted(tmp_path, codes, space, kind)
     np.testing.assert_allclose(  # LittleCMS rounds to 8 bits
         encode_srgb(read.values)[inside], np.asarray(seen)[inside] / 255.0, atol=0.02
     )
+
+
+def test_colours_outside_srgb_are_noted(tmp_path):
+    for green, share in ((255, "100 %"), (120, None)):
+        codes = np.full((24, 32, 3), (100, green, 100), np.uint8)
+        (tmp_path / "a.png").write_bytes(with_chunk(codes, b"cICP", bytes([12, 13, 0, 1])))
+        read = read_picture(tmp_path / "a.png")
+        assert read.values.min() >= 0.0
+        assert any("outside sRGB" in note for note in read.notes) == (share is not None)
+        assert share is None or share in read.notes[1]
 
 
 def test_sixteen_bits_with_a_profile_keep_their_precision(tmp_path, rng):
@@ -316,7 +326,7 @@ def test_primaries_of_tiff_and_exr_are_converted(tmp_path, codes):
     write_exr(tmp_path / "a.exr", values, chromaticities=(0.68, 0.32, 0.265, 0.69, 0.15, 0.06, 0.3127, 0.329))
     read = read_picture(tmp_path / "a.exr")
     np.testing.assert_allclose(read.values, expected, atol=5e-4)
-    assert not read.notes
+    assert not any("read as" in note for note in read.notes)
 
 
 @pytest.mark.parametrize(("bits", "is_encoded"), [(8, True), (16, False)])

@@ -82,9 +82,7 @@ def tags(path: Path, kind: str) -> tuple[dict[int, Any], str]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of large pictures, and of damaged tags
             with Image.open(path, formats=(kind.upper(),)) as image:
-                if (
-                    kind == "png" and "exif" not in image.info
-                ):  # Pillow would decode the pixels to search for it
+                if kind == "png" and "exif" not in image.info:  # to search, Pillow would decode the pixels
                     return {}, ""
                 found = image.getexif()
                 stated, index = {**found, **found.get_ifd(_EXIF)}, found.get_ifd(_INTEROPERABILITY).get(1, "")

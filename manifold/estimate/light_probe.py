@@ -38,10 +38,8 @@ _DOUBTED_DEG = 10.0  # least doubtful angle; lamps are found within 7 degrees in
 _WELL_EXPLAINED = 0.035  # largest residual of pictures that are explained well
 _CLEARLY = 1.6  # least ratio of residuals of two encodings: at most 1.33 in triples of pictures that are sRGB
 _CLEARLY_OF_FEW = 2.5  # the same of one or two pictures: at most 2.1 in single ones that are sRGB
-_NEAR_DEG, _NEARER_DEG = (
-    3.0,
-    5.0,
-)  # of the right encoding: lamps are this near to the given ones, and this much nearer
+_NEAR_DEG = 3.0  # within which the right encoding confirms given lamps
+_NEARER_DEG = 5.0  # by which it is at least nearer to them than the other
 _SMALLER = 1.2  # least ratio of residuals at which angles below the doubtful one are believed
 _MOST_RESIDUAL = 0.3  # of a ball whose encoding is in doubt
 _OF_ENCODING = 3  # pictures in which encodings are compared; of more, some evenly spaced
@@ -170,10 +168,8 @@ def given_encoding_notes(
         return ()
     try:
         probes = [_coarse_probe(one, circles[k], _MOST_RESIDUAL) for one, k in zip(read, chosen, strict=True)]
-        if (
-            np.median([one.lamps[0].degrees_from(lamps[k]) for one, k in zip(probes, chosen, strict=True)])
-            < _NEAR_DEG
-        ):
+        off = [one.lamps[0].degrees_from(lamps[k]) for one, k in zip(probes, chosen, strict=True)]
+        if np.median(off) < _NEAR_DEG:
             return ()
         apart, residual = [], []
         for pictures in (read, otherwise):
@@ -231,7 +227,7 @@ def _read_otherwise(photographs: Sequence[Photograph]) -> list[Photograph] | Non
     is_encoded = photographs[0].is_encoded
     if any(one.is_certain or one.is_encoded != is_encoded for one in photographs):
         return None
-    if not is_encoded and max(float(np.nanmax(one.values)) for one in photographs) > 1.0:
+    if not is_encoded and max(float(np.nanmax(one.values, initial=0.0)) for one in photographs) > 1.0:
         return None
     change = encode_srgb if is_encoded else decode_srgb
     return [replace(one, values=change(one.values)) for one in photographs]

@@ -38,8 +38,11 @@ _DOUBTED_DEG = 10.0  # least doubtful angle; lamps are found within 7 degrees in
 _WELL_EXPLAINED = 0.035  # largest residual of pictures that are explained well
 _CLEARLY = 1.6  # least ratio of residuals of two encodings: at most 1.33 in triples of pictures that are sRGB
 _CLEARLY_OF_FEW = 2.5  # the same of one or two pictures: at most 2.1 in single ones that are sRGB
-_NEAR_DEG = 3.0  # within which the right encoding confirms given lamps
-_NEARER_DEG = 5.0  # by which it is at least nearer to them than the other
+_SURE_DEG = 3.0  # of a coarse estimate, within which given lamps confirm how pictures were read
+_NEAR_DEG = 5.0  # within which given lamps confirm the other encoding; they are measured to some 4 degrees
+_NEARER_DEG = (
+    5.0  # by which it is at least nearer to them; correct lamps are 3 to 14 degrees off in the wrong one
+)
 _SMALLER = 1.2  # least ratio of residuals at which angles below the doubtful one are believed
 _MOST_RESIDUAL = 0.3  # of a ball whose encoding is in doubt
 _OF_ENCODING = 3  # pictures in which encodings are compared; of more, some evenly spaced
@@ -169,7 +172,7 @@ def given_encoding_notes(
     try:
         probes = [_coarse_probe(one, circles[k], _MOST_RESIDUAL) for one, k in zip(read, chosen, strict=True)]
         off = [one.lamps[0].degrees_from(lamps[k]) for one, k in zip(probes, chosen, strict=True)]
-        if np.median(off) < _NEAR_DEG:
+        if np.median(off) < _SURE_DEG:
             return ()
         apart, residual = [], []
         for pictures in (read, otherwise):

@@ -17,18 +17,14 @@ from manifold.core.records import Array, Mask
 
 _SEARCHED = 800  # pixels of the longer side in which plateaus are sought, at least, where pictures have more
 _WIDTHS = (0.01, 0.02, 0.04, 0.08)  # of plateaus, relative to their level
-_MANY = (
-    6.0  # least ratio of pixels on a plateau to those slightly below; 2.4 at the ridge of a smooth cylinder
-)
+_MANY = 6.0  # least ratio of pixels on a plateau to those slightly below; 2.4 at the ridge of a cylinder
 _FEWEST = 16  # pixels of a plateau
 _FEW = 4  # brighter pixels that sharpening and compression leave
 _OF_BYTES = 257  # of which 16-bit codes are multiples that were eight bits
 _EXACT = 0.9  # share of a plateau's pixels that have the very same value
 _WIDER = 1.1  # least ratio of pixels for which a plateau is taken to be wider
 _NEAR, _LEAST_NEAR, _FAR = 0.12, 2.0, 0.5  # distances from a plateau, relative to its radius, and in pixels
-_CUT_OFF = (
-    0.4  # largest share of a plateau's outline on the edge of the picture; of a background it is one half
-)
+_CUT_OFF = 0.4  # largest share of a plateau's outline on the edge of the picture; of a background one half
 _LEAST_FALL = 0.15  # share of the fall from a plateau to its surroundings that is farther away than its edge
 
 

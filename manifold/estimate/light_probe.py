@@ -192,9 +192,9 @@ def given_encoding_notes(
     return (
         _advice(
             read[0],
-            f"the ball looks lit from {far:.0f} degrees beside the lamps that were given, with a residual of "
+            f"the lamp that explains the ball best is {far:.0f} degrees away from the given one, with a residual of "
             f"{percent(large, 1)}",
-            f"from {near:.0f} degrees beside them, with {percent(small, 1)}",
+            f"it is {near:.0f} degrees away, with {percent(small, 1)}",
         ),
     )
 

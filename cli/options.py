@@ -256,6 +256,30 @@ UnitOption = Annotated[
 ]
 
 
+def linear_option(panel: str | None = None) -> Any:
+    """Return the option `--linear` for an annotation."""
+    return typer.Option(
+        "--linear", help="Read pictures as linear values, whatever their files say.", rich_help_panel=panel
+    )
+
+
+def encoded_option(panel: str | None = None) -> Any:
+    """Return the option `--encoded` for an annotation."""
+    return typer.Option(
+        "--encoded",
+        help="Read pictures as encoded for a display, whatever their files say; .exr, .hdr and .pfm are always linear. "
+        "By default, 8 bits without a colour space are sRGB, 16 bits and floats linear.",
+        rich_help_panel=panel,
+    )
+
+
+def are_linear(linear: bool, encoded: bool) -> bool | None:
+    """Return what `--linear` and `--encoded` say about pictures; None without them."""
+    if linear and encoded:
+        raise UsageError("--linear and --encoded, expected one of them")
+    return linear if linear or encoded else None
+
+
 def material_source(text: str, model: Path, library: Path | None) -> MaterialSource:
     """Return the material that an argument names; if the default model does not exist, the default library is used."""
     from manifold.estimate.sources import parse_source

@@ -142,10 +142,8 @@ class PhotoOptions:
             rich_help_panel=TAKEN,
         ),
     ] = None
-    linear: Annotated[
-        bool,
-        typer.Option("--linear", help="Read the values of all pictures as linear.", rich_help_panel=TAKEN),
-    ] = False
+    linear: Annotated[bool, options.linear_option(TAKEN)] = False
+    encoded: Annotated[bool, options.encoded_option(TAKEN)] = False
     dark: Annotated[
         Path | None,
         typer.Option(
@@ -190,7 +188,7 @@ class PhotoOptions:
         return PhotoRequest(
             list(pictures), self.light or (), self.cylinder or self.circle or (), self.turn or (0.0,), self.elevation,
             far, known, self.camera, self.lamp or (), None if is_unknown else exposure == "each", self.grey,
-            self.linear, self.dark,
+            options.are_linear(self.linear, self.encoded), self.dark,
             self.light_ball or (),
         )  # fmt: skip
 
@@ -206,7 +204,7 @@ def photograph(
     pictures: Annotated[
         list[Path] | None,
         typer.Argument(
-            help="Pictures of one ball: .exr or .tif (linear), .png or .jpg (sRGB), or raw files of a camera.",
+            help="Pictures of one ball: .exr, .hdr, .tif, .png or .jpg, or raw files of a camera.",
             metavar="PICTURE",
             show_default=False,
         ),

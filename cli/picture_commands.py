@@ -298,6 +298,8 @@ def render(
     size: SizeOption = 256,
     samples: SamplesOption = 64,
     seed: SeedOption = 0,
+    linear: Annotated[bool, options.linear_option(LIGHT)] = False,
+    encoded: Annotated[bool, options.encoded_option(LIGHT)] = False,
     workers: OneWorkerOptions = ONE,
     json: options.JsonOption = None,
 ) -> None:
@@ -310,8 +312,9 @@ def render(
 
     results = terminal.Results(json)
     settings = make_settings(
-        size=size, samples=samples, seed=seed, illuminant=illuminant, environment=environment
-    )
+        size=size, samples=samples, seed=seed, illuminant=illuminant, environment=environment,
+        is_linear=options.are_linear(linear, encoded),
+    )  # fmt: skip
     if points is not None:
         if materials or colour != options.OWN_COLOUR:
             raise UsageError("found --from and a material or colour; write these into columns of the table")
@@ -366,6 +369,8 @@ def compare(
     size: SizeOption = 256,
     samples: SamplesOption = 96,
     seed: SeedOption = 0,
+    linear: Annotated[bool, options.linear_option(LIGHT)] = False,
+    encoded: Annotated[bool, options.encoded_option(LIGHT)] = False,
     json: options.JsonOption = None,
 ) -> None:
     """Put two pictures side by side, with maps of CIEDE2000 and FLIP; materials are first rendered in the same light.
@@ -379,11 +384,12 @@ def compare(
     from manifold.render.ball import make_settings
 
     results = terminal.Results(json)
+    is_linear = options.are_linear(linear, encoded)
     settings = make_settings(
-        size=size, samples=samples, seed=seed, illuminant=illuminant, environment=environment
-    )
+        size=size, samples=samples, seed=seed, illuminant=illuminant, environment=environment, is_linear=is_linear
+    )  # fmt: skip
     with progress.shown("Comparing"):
         sources = [options.material_source(text, model, library) for text in (a, b)]
-        made = renders.compare(sources[0], sources[1], output, settings)
+        made = renders.compare(sources[0], sources[1], output, settings, is_linear=is_linear)
     results.rows(f"Compared {made.a} and {made.b} in {output}", made.rows)
     results.document(made)

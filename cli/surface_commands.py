@@ -47,6 +47,8 @@ def surface(
             metavar="FILE",
         ),
     ] = None,
+    linear: Annotated[bool, options.linear_option()] = False,
+    encoded: Annotated[bool, options.encoded_option()] = False,
     size: Annotated[
         int, typer.Option(help="Width and height of the textures, in pixels.", metavar="N", min=192, max=8192)
     ] = 1024,
@@ -86,8 +88,11 @@ def surface(
     if lamp is not None:
         if sample is not None:
             raise UsageError("--sample goes with a workbook; leave it out")
-        pictures, readings = read_folder(files_in(sources), lamp), None
+        is_linear = options.are_linear(linear, encoded)
+        pictures, readings = read_folder(files_in(sources), lamp, is_linear), None
     else:
+        if linear or encoded:
+            raise UsageError("--linear and --encoded go with --lamp; an instrument's pictures are linear")
         samples = [] if sample is not None else inputs.find_samples(sources)
         if len(samples) > 1 or any(source.is_dir() for source in sources):
             from manifold.many import commands as many

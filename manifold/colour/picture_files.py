@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-import io
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from manifold.colour.conversion import decode_srgb
+from manifold.colour import colour_spaces
+from manifold.colour.colour_spaces import SRGB, ColourSpace
+from manifold.colour.saturation import find_plateau
 from manifold.core.errors import FileFormatError, MissingFileError
 from manifold.core.extras import require
-from manifold.core.picture_bytes import KINDS
+from manifold.core.names import first_few, percent
+from manifold.core.picture_bytes import KINDS, tags
 from manifold.core.records import Array, Mask
 
 RAW_SUFFIXES = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw")
@@ -21,16 +24,27 @@ SUFFIXES = (".exr", ".hdr", ".pfm", ".tif", ".tiff", ".png", ".jpg", ".jpeg", ".
 """Suffixes of readable files; the format is determined from the content."""
 
 _EXPECTED = "EXR, HDR, PFM, TIFF, PNG, JPEG, BMP or WebP"
-_LINEAR = ("openexr", "hdr", "pnm", "tiff")  # unless a profile says otherwise
+_LINEAR = ("openexr", "hdr", "pnm")  # by their specifications
 _MOST_BYTES = 1_200_000_000  # size of decoded values: 100 million pixels in single precision
 _MOST_TILE = 1 << 24  # pixels of a tile, which is decoded whole
 _TIFF_KINDS = {0: "white is 0", 3: "palette", 5: "CMYK", 6: "YCbCr", 8: "CIELAB"}
-_PRIMARIES = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)  # x, y of sRGB and its white
 _MOST_CODE = 65535  # largest code of 16 bits
+_CODES = {"uint8": 255, "uint16": _MOST_CODE}  # largest codes, by type
 _RAW_WHITE = 0.999  # share of the largest code that counts as white: LibRaw rounds
-_MOST_CHUNKS = 100
+_MOST_CHUNKS, _MOST_CHUNK = 100, 64  # chunks before the pixels, and bytes of one that states colours
 _HEIF = (b"heic", b"heix", b"hevc", b"mif1", b"msf1", b"avif")  # brands behind `ftyp`
-_SAY_COLOURS = {b"sRGB", b"gAMA", b"iCCP", b"cICP", b"cHRM"}  # chunks of PNG
+_SAY_COLOURS = {b"sRGB", b"gAMA", b"cICP", b"cHRM"}  # chunks of PNG, beside the profile
+_COLOUR_SPACE, _WHITE_POINT, _PRIMARIES = 0xA001, 318, 319  # tags of Exif and TIFF
+_EXIF_SRGB, _EXIF_ADOBE, _ADOBE = (
+    1,
+    2,
+    "R03",
+)  # values of the first, and the interoperability index of Adobe RGB
+_OUTSIDE, _FEW_OUTSIDE = (
+    0.02,
+    0.01,
+)  # how far colours are outside sRGB that count, and the share of pixels that is noted
+_FULL = 0.98  # share of the largest code above which a plateau is that of the code
 _PLATEAU = 4  # pixels of the very same largest value may be clipped
 
 
@@ -39,11 +53,14 @@ class Image:
     """A picture in linear values.
 
     Attributes:
-        values: linear sRGB, shape (H, W, 3), float32; transparent pixels have the values of the file.
+        values: linear sRGB, shape (H, W, 3), float32; transparent pixels have the values of the file. Colours that
+            the conversion leaves outside sRGB have 0 where they would be negative.
         is_opaque: whether each pixel is not transparent, shape (H, W).
         is_clipped: whether each pixel may have been brighter than its value, shape (H, W): integers at their largest
-            value, or floats if at least four pixels have the largest value.
-        is_encoded: whether the file has display values, which were decoded as sRGB.
+            value, floats if at least four pixels have the largest value, and plateaus if they were searched for.
+        is_encoded: whether the file has display values, which were decoded.
+        is_certain: whether that follows from the format or was given; a statement of the file may be wrong.
+        is_guessed: whether that was guessed, because the file does not say.
         is_grey: whether its channels are equal.
         notes: assumptions about the file, in sentences.
     """
@@ -53,31 +70,44 @@ class Image:
     is_opaque: Mask
     is_clipped: Mask
     is_encoded: bool
+    is_certain: bool
+    is_guessed: bool
     is_grey: bool
     notes: tuple[str, ...] = ()
 
 
-def read_picture(path: Path) -> Image:
+def read_picture(path: Path, is_linear: bool | None = None, *, finds_plateaus: bool = False) -> Image:
     """Read a picture as linear sRGB.
 
-    EXR, HDR, PFM and TIFF are linear; other formats, and TIFF with a profile of sRGB, are decoded as sRGB.
+    Every file is read in the colour space that it states: by a profile, by chunks of PNG, by tags of Exif or TIFF, or
+    by primaries of EXR. Where a file does not say whether its values are linear, 8 bits are decoded as sRGB; 16 bits
+    and floats are linear, as in photometric-stereo data sets. EXR, HDR, PFM and raw files are always linear.
 
-    A 16-bit PNG file that names no colour space is also read as linear, as in photometric-stereo data sets. LibRaw
-    develops raw files of cameras, in linear values, with the primaries of sRGB and the camera's white balance. The
-    picture is turned upright if the file states its orientation. In EXR and TIFF, only the channels red, green, blue
-    or grey, and alpha are read.
+    LibRaw develops raw files of cameras, in linear values, with the primaries of sRGB and the camera's white balance.
+    The picture is turned upright if the file states its orientation. In EXR and TIFF, only the channels red, green,
+    blue or grey, and alpha are read.
+
+    Args:
+        path: a picture; its format follows from its content.
+        is_linear: whether the values are linear, or encoded for a display, whatever the file says; None to follow the
+            file. It does not change the primaries.
+        finds_plateaus: whether to search for saturated pixels below the largest code, as photographs may have.
+
+    Raises:
+        MissingFileError: there is no such file.
+        FileFormatError: the file is no readable picture, or its colour space is not understood.
     """
     if not path.is_file():
         raise MissingFileError(f"{path}: no such file; name a picture (.exr, .hdr, .tif, .png, .jpg)")
     if path.suffix.lower() in RAW_SUFFIXES:
-        return _read_raw(path)
+        return _read_raw(path, finds_plateaus)
     try:
-        return _read(path, _kind(path))
+        return _read(path, _kind(path), is_linear, finds_plateaus)
     except UnicodeDecodeError as error:  # of names, or of messages of OpenImageIO with parts of the file
         raise _unreadable(path, "a damaged header") from error
 
 
-def _read(path: Path, kind: str) -> Image:
+def _read(path: Path, kind: str, is_linear: bool | None, finds_plateaus: bool) -> Image:
     OpenImageIO = require("OpenImageIO")
 
     OpenImageIO.attribute("threads", 1)  # processes that are forked have no threads
@@ -89,10 +119,10 @@ def _read(path: Path, kind: str) -> Image:
     spec = image.spec()
     _require_kind(path, image, kind)
     names = list(spec.channelnames)
-    is_encoded = _is_encoded(path, spec, kind)
+    space = _stated_space(path, spec, kind)
+    coding = _coding(path, space, kind, str(spec.format), is_linear)
     is_float = str(spec.format) in ("half", "float", "double")
-    is_code = is_encoded and str(spec.format) in ("uint8", "uint16")
-    stored = image.read_image("" if is_code else "float")
+    stored = image.read_image("" if str(spec.format) in _CODES else "float")
     if stored is None or image.has_error:
         raise _unreadable(path, image.geterror())
     if image.seek_subimage(1, 0):
@@ -101,31 +131,82 @@ def _read(path: Path, kind: str) -> Image:
     opaque = np.full(stored.shape[:2], True)
     if spec.alpha_channel >= 0:
         alpha = stored[..., spec.alpha_channel]
-        opaque = alpha >= (np.iinfo(alpha.dtype).max if alpha.dtype.kind == "u" else 1.0)
-    values, clipped = _linear(stored[..., colours], is_encoded, is_float)
+        opaque = alpha >= _CODES.get(str(alpha.dtype), 1.0)
+    codes = stored[..., colours]
+    clipped, notes = _clipped(codes, is_float), coding.notes
+    if finds_plateaus:
+        on_plateau, found = _on_plateaus(path, codes)
+        clipped, notes = clipped | on_plateau, found + notes
+    values = _linear(codes, coding.curves)
+    if space.to_srgb is not None:
+        notes += _convert(path, values, space)
     if 0.0 < (exposure := spec.get_float_attribute("hdr:exposure", 1.0)) < np.inf and exposure != 1.0:
         values /= np.float32(exposure)
     turn = spec.get_int_attribute("Orientation", 1)
     is_grey = colours[0] == colours[1] or all(
         np.array_equal(row[:, :2], row[:, 1:], equal_nan=True) for row in values
     )
-    notes: tuple[str, ...] = ()
-    if is_encoded:
-        notes = (f"{path.name}: read as sRGB; the camera's tone curve and colour settings are not reversed",)
-    elif kind == "png":
-        notes = (f"{path.name}: 16 bits without a colour space: read as linear",)
     return Image(
         path,
         _upright(values, turn),
         _upright(opaque, turn),
         _upright(clipped, turn),
-        is_encoded,
+        bool(coding.curves),
+        coding.is_certain,
+        coding.is_guessed,
         is_grey,
         notes,
     )
 
 
-def _read_raw(path: Path) -> Image:
+def notes_together(pictures: Iterable[tuple[str, Iterable[str]]]) -> dict[str, int]:
+    """Return the notes on pictures, given by names of pictures, and how many pictures each concerns.
+
+    Notes that differ only in the name with which they begin become one.
+    """
+    named: dict[str, list[str]] = {}
+    for name, notes in pictures:
+        for note in dict.fromkeys(notes):
+            rest = note.removeprefix(f"{name}: ")
+            named.setdefault(rest, []).append(name if rest != note else "")
+    return {
+        f"{first_few(names)}: {note}" if all(names) else note: len(names) for note, names in named.items()
+    }
+
+
+class _Coding(NamedTuple):
+    """How a file's codes become linear values, whether that is certain or a guess, and notes about it."""
+
+    curves: tuple[colour_spaces.Curve, ...]
+    is_certain: bool
+    is_guessed: bool
+    notes: tuple[str, ...]
+
+
+def _coding(path: Path, space: ColourSpace, kind: str, stored: str, is_linear: bool | None) -> _Coding:
+    """Return how values become linear, in this order: by the format, as asked for, as the file states, by a guess."""
+    name, tone = path.name, "the camera's tone curve and colour settings are not reversed"
+    if kind in _LINEAR and not space.curves:
+        notes = (f"{name}: linear by its format; --encoded does not change it",) * (is_linear is False)
+        return _Coding((), True, False, notes)
+    if is_linear:
+        return _Coding((), True, False, (f"{name}: values read as linear",))
+    if is_linear is not None or space.curves is not None:
+        curves = space.curves if is_linear is None else space.curves or SRGB.curves
+        notes = (f"{name}: read as {space.name}; {tone}",) if curves else ()
+        return _Coding(curves or (), is_linear is not None, False, notes)
+    if stored == "uint8":
+        words = (
+            f"{name}: read as {space.name}; {tone}; the file states no encoding, add --linear if it is linear"
+        )
+        return _Coding(SRGB.curves or (), False, True, (words,))
+    if stored == "uint16":
+        words = f"{name}: read as linear; the file states no encoding, add --encoded if it is encoded"
+        return _Coding((), False, True, (words,))
+    return _Coding((), False, True, ())
+
+
+def _read_raw(path: Path, finds_plateaus: bool) -> Image:
     """Read a raw file, developed without curves."""
     rawpy = require("rawpy")
     try:
@@ -144,8 +225,11 @@ def _read_raw(path: Path) -> Image:
         raise _unreadable(path, str(error)) from error
     clipped: Mask = np.any(codes >= _RAW_WHITE * _MOST_CODE, axis=2)
     values = (np.asarray(codes) / _MOST_CODE).astype(np.float32)
-    notes = (f"{path.name}: developed with the camera's white balance",)
-    return Image(path, values, np.full(clipped.shape, True), clipped, False, False, notes)
+    notes: tuple[str, ...] = (f"{path.name}: developed with the camera's white balance",)
+    if finds_plateaus:
+        on_plateau, found = _on_plateaus(path, codes)
+        clipped, notes = clipped | on_plateau, found + notes
+    return Image(path, values, np.full(clipped.shape, True), clipped, False, True, False, False, notes)
 
 
 def _kind(path: Path) -> str:
@@ -184,7 +268,6 @@ def _require_kind(path: Path, image: Any, kind: str) -> None:
     photometric = spec.get_int_attribute("tiff:PhotometricInterpretation", 2)
     x, y, width, height = spec.x, spec.y, spec.width, spec.height
     whole = (spec.full_x, spec.full_y, spec.full_width, spec.full_height)
-    primaries = spec.getattribute("chromaticities")
     n_bytes = width * height * spec.nchannels * max(spec.format.size(), 4)
     is_large = n_bytes > _MOST_BYTES or spec.tile_width * spec.tile_height > _MOST_TILE
     refused = (
@@ -202,10 +285,6 @@ def _require_kind(path: Path, image: Any, kind: str) -> None:
         (spec.get_string_attribute("jpeg:ColorSpace") == "CMYK", "CMYK"),
         (not {"R", "G", "B"} <= {*names} and not {"Y"} <= {*names} <= {"Y", "A", "Z"}, f"channels {', '.join(names)}"),
         (
-            primaries is not None and not np.allclose(primaries, _PRIMARIES, atol=2e-3),  # rounded in files
-            f"primaries and white at {primaries}",
-        ),
-        (
             (x, y, width, height) != whole,
             f"{width} x {height} pixels at {x}, {y} of {whole[2]} x {whole[3]} at {whole[0]}, {whole[1]}",
         ),
@@ -215,77 +294,133 @@ def _require_kind(path: Path, image: Any, kind: str) -> None:
         raise _unsupported(path, found[0])
 
 
-def _is_encoded(path: Path, spec: Any, kind: str) -> bool:
-    """Return whether values are encoded for a display.
+def _stated_space(path: Path, spec: Any, kind: str) -> ColourSpace:
+    """Return the colour space that a file states, without curves if it states none.
 
-    Raises FileFormatError if they are neither that nor linear sRGB.
+    Raises FileFormatError if it is not understood.
     """
-    profile = spec.getattribute("ICCProfile")
-    space = "" if kind == "pnm" else spec.get_string_attribute("oiio:ColorSpace")
-    if profile is not None:
-        found = _encoding(bytes(profile), spec.nchannels)
-        space = spec.get_string_attribute("ICCProfile:profile_description") or "its profile"
-    elif kind == "png" and str(spec.format) == "uint16" and not _SAY_COLOURS & _chunks(path):
-        return False
-    elif not space:
-        found = kind not in _LINEAR
+    profile, primaries = spec.getattribute("ICCProfile"), spec.getattribute("chromaticities")
+    chunks = _chunks(path) if kind == "png" else {}
+    space: ColourSpace | None
+    if profile is not None and b"cICP" not in chunks:
+        name = spec.get_string_attribute("ICCProfile:profile_description") or "its profile"
+        space = colour_spaces.of_profile(bytes(profile), name)
+    elif chunks:
+        name = f"its chunk cICP {tuple(chunks[b'cICP'])}" if b"cICP" in chunks else "its chunk cHRM"
+        space = colour_spaces.of_png(chunks)
+    elif primaries is not None:
+        name = f"primaries and white at {primaries}"
+        space = colour_spaces.of_primaries(primaries, None)
+    elif kind == "openexr" and (name := spec.get_string_attribute("oiio:ColorSpace")):
+        space = colour_spaces.named(name)
     else:
-        name = space.lower()
-        is_srgb = name.startswith(("srgb", "g22_rec709"))
-        found = is_srgb or (False if name.startswith(("lin_rec709", "linear", "lin_srgb")) else None)
-    if found is None:
-        raise FileFormatError(f"{path}: colours in {space}, expected sRGB or linear sRGB; convert it")
-    return found
+        name = "its tags"
+        space = _tagged_space(path, kind)
+    if space is None:
+        raise FileFormatError(
+            f"{path}: colours in {name}, expected a space of primaries and tone curves, such as sRGB, Display P3 or "
+            "Adobe RGB; convert it"
+        )
+    return space
 
 
-def _chunks(path: Path) -> set[bytes]:
-    """Return the types of the chunks of a PNG file before its pixels."""
-    found: set[bytes] = set()
+def _tagged_space(path: Path, kind: str) -> ColourSpace | None:
+    """Return the space that tags of Exif or TIFF state; None if the primaries are impossible."""
+    stated, interoperability = tags(path, kind)
+    space = stated.get(_COLOUR_SPACE)
+    if space == _EXIF_SRGB:
+        return SRGB
+    if space == _EXIF_ADOBE or interoperability == _ADOBE:
+        return colour_spaces.adobe_rgb()
+    if _PRIMARIES in stated and _WHITE_POINT in stated:
+        try:
+            numbers = [float(v) for v in (*stated[_PRIMARIES], *stated[_WHITE_POINT])]
+            return colour_spaces.of_primaries(numbers, None)
+        except (TypeError, ValueError, ZeroDivisionError):
+            return None
+    return ColourSpace("sRGB")
+
+
+def _chunks(path: Path) -> dict[bytes, bytes]:
+    """Return the chunks of a PNG file before its pixels that state colours, by type."""
+    found: dict[bytes, bytes] = {}
     with path.open("rb") as stream:
         stream.seek(8)
-        while len(head := stream.read(8)) == 8 and head[4:] != b"IDAT" and len(found) < _MOST_CHUNKS:
-            found.add(head[4:])
-            stream.seek(int.from_bytes(head[:4], "big") + 4, 1)
+        for _ in range(_MOST_CHUNKS):
+            head = stream.read(8)
+            if len(head) < 8 or head[4:] == b"IDAT":
+                break
+            size = int.from_bytes(head[:4], "big")
+            if head[4:] in _SAY_COLOURS and size <= _MOST_CHUNK:
+                found[head[4:]] = stream.read(size)
+                size = 0
+            stream.seek(size + 4, 1)
     return found
 
 
-def _encoding(profile: bytes, n_channels: int) -> bool | None:
-    """Return True for a profile of sRGB, False for one of linear sRGB, None for others."""
-    from PIL import Image, ImageCms
-
-    ramp = np.arange(256, dtype=np.uint8)
-    shown = np.stack([ramp] * 3 if n_channels < 3 else [ramp, ramp[::-1], np.roll(ramp, 85)], axis=1)
-    try:
-        taken = ImageCms.profileToProfile(
-            Image.fromarray(shown[None, :, 0] if n_channels < 3 else shown[None]),
-            ImageCms.ImageCmsProfile(io.BytesIO(profile)), ImageCms.createProfile("sRGB"),
-            ImageCms.Intent.RELATIVE_COLORIMETRIC, outputMode="RGB",
-        )  # fmt: skip
-    except (OSError, ImageCms.PyCMSError):
-        return None
-    seen = decode_srgb(np.asarray(taken)[0] / 255.0)
-    for is_encoded, expected in ((True, decode_srgb(shown / 255.0)), (False, shown / 255.0)):
-        if np.abs(seen - expected).max() < 0.02:  # rounding to 8 bits, twice
-            return is_encoded
-    return None
-
-
-def _linear(stored: Array, is_encoded: bool, is_float: bool) -> tuple[Array, Mask]:
-    """Return linear float32 values of stored codes or floats (H, W, 3), and a mask of clipped pixels."""
-    full = {"uint8": 255, "uint16": _MOST_CODE}.get(str(stored.dtype), 1)
-    most = np.max(stored, where=np.isfinite(stored), initial=0) if is_float else full
-    clipped: Mask = np.any(np.equal(stored, most), axis=2)
+def _clipped(codes: Array, is_float: bool) -> Mask:
+    """Return which pixels of stored codes or floats (H, W, 3) have the largest value, shape (H, W)."""
+    full = _CODES.get(str(codes.dtype), 1)
+    most = np.max(codes, where=np.isfinite(codes), initial=0) if is_float else full
+    clipped: Mask = np.any(np.equal(codes, most), axis=2)
     if is_float:
         clipped &= np.count_nonzero(clipped) >= _PLATEAU
-    if not is_encoded:
-        return np.array(stored, dtype=np.float32), clipped
+    return clipped
+
+
+def _on_plateaus(path: Path, codes: Array) -> tuple[Mask, tuple[str, ...]]:
+    """Return which pixels of stored codes or floats (H, W, 3) lie on plateaus, shape (H, W), and a note about them."""
+    full = _CODES.get(str(codes.dtype), 1)
+    found = {}
+    for c in range(3):
+        if c and np.array_equal(codes[..., c], codes[..., 0]):  # grey
+            continue
+        if (plateau := find_plateau(codes[..., c])) is not None:
+            found["RGB"[c]] = plateau
+    pixels = np.logical_or.reduce([np.zeros(codes.shape[:2], bool), *(one.pixels for one in found.values())])
+    below = [
+        f"{name} {one.level / full:.3g}"
+        for name, one in found.items()
+        if one.level < _FULL * full or full == 1
+    ]
+    if not below:
+        return pixels, ()
+    return pixels, (
+        f"{path.name}: {np.count_nonzero(pixels)} pixels lie on a plateau ({', '.join(below)} of the largest code) and "
+        "are treated as clipped: they may have been brighter",
+    )
+
+
+def _convert(path: Path, values: Array, space: ColourSpace) -> tuple[str, ...]:
+    """Convert linear values (H, W, 3) of a space to sRGB in place; return a note if many colours are outside sRGB."""
+    assert space.to_srgb is not None
+    outside = 0
+    for row in values:
+        row[...] = row @ space.to_srgb
+        outside += int(np.count_nonzero(row.min(axis=1) < -_OUTSIDE * row.max(axis=1)))
+        np.maximum(row, 0.0, out=row)
+    share = outside / max(values.shape[0] * values.shape[1], 1)
+    if share < _FEW_OUTSIDE:
+        return ()
+    return (
+        f"{path.name}: {percent(share)} of the pixels have colours outside sRGB, where a channel is set to 0",
+    )
+
+
+def _linear(codes: Array, curves: tuple[colour_spaces.Curve, ...]) -> Array:
+    """Return linear values, float32, of stored codes or floats (H, W, 3)."""
+    full = _CODES.get(str(codes.dtype), 1)
+    each = curves or ((lambda stored: stored),)
+    values = np.empty(codes.shape, np.float32)
     if full > 1:
-        table = decode_srgb(np.arange(full + 1) / full).astype(np.float32)
-        values = np.empty(stored.shape, np.float32)
-        for row, codes in zip(values, stored, strict=True):  # as an index, a code takes eight bytes
-            row[...] = table[codes]
-        return values, clipped
-    return decode_srgb(stored).astype(np.float32), clipped
+        tables = np.array([curve(np.arange(full + 1) / full) for curve in each], np.float32)
+        channel = np.arange(3) % len(each)
+    for row, stored in zip(values, codes, strict=True):  # as an index, a code takes eight bytes
+        if full > 1:
+            row[...] = tables[channel, stored]
+        else:
+            row[...] = np.stack([each[c % len(each)](stored[:, c]) for c in range(3)], axis=1)
+    return values
 
 
 def _upright(pixels: Any, orientation: int) -> Any:

@@ -1,14 +1,16 @@
-"""Decodes PNG and JPEG pictures; no other module opens pictures with Pillow.
+"""Decodes PNG and JPEG pictures, and reads tags of pictures; no other module opens pictures with Pillow.
 
-Pillow recognises pictures by content and starts Ghostscript for EPS files. Therefore only content that begins like
-PNG or JPEG is passed to it.
+Pillow recognises pictures by content and starts Ghostscript for EPS files. Therefore it is told the format, which
+follows from the first bytes.
 """
 
 from __future__ import annotations
 
 import io
+import struct
 import warnings
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
@@ -27,6 +29,8 @@ _OTHERS = {
     b"GIF8": "a GIF", b"%!PS": "a PostScript", b"BM": "a BMP", b"II*\0": "a TIFF", b"MM\0*": "a TIFF",
     b"RIFF": "a WebP", b"\xd7\xcd\xc6\x9a": "a WMF", b"\x01\0\0\0": "an EMF", b"<svg": "an SVG", b"<?xml": "an SVG",
 }  # fmt: skip
+_TAGGED = ("jpeg", "png", "tiff", "webp")
+_EXIF, _INTEROPERABILITY = 0x8769, 0xA005  # tags of the directories
 _MODES = ("L", "LA", "P", "RGB", "RGBA")  # of 8 bits
 
 
@@ -63,3 +67,33 @@ def decode(content: bytes, mode: Literal["RGB", "RGBA"] = "RGB", *, most_pixels:
 def kind_of(content: bytes) -> str | None:
     """Return "PNG" or "JPEG" from the first bytes of a picture, otherwise None."""
     return next((kind for magic, kind in _MAGIC.items() if content.startswith(magic)), None)
+
+
+def tags(path: Path, kind: str) -> tuple[dict[int, Any], str]:
+    """Return the TIFF and Exif tags of a picture by number, and its interoperability index, such as R98.
+
+    `kind` is one of `KINDS`. Both are empty if the picture has no tags, or if they are damaged.
+    """
+    from PIL import Image
+
+    if kind not in _TAGGED:
+        return {}, ""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of large pictures, and of damaged tags
+            with Image.open(path, formats=(kind.upper(),)) as image:
+                if kind == "png" and "exif" not in image.info:  # to search, Pillow would decode the pixels
+                    return {}, ""
+                found = image.getexif()
+                stated, index = {**found, **found.get_ifd(_EXIF)}, found.get_ifd(_INTEROPERABILITY).get(1, "")
+        return stated, str(index).strip("\0 ")
+    except (
+        OSError,
+        ValueError,
+        SyntaxError,
+        TypeError,
+        KeyError,
+        struct.error,
+        Image.DecompressionBombError,
+    ):
+        return {}, ""

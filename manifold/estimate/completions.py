@@ -16,11 +16,12 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility
 from manifold.colour.correction import ColourCorrection
 from manifold.colour.difference import lab_under_d65
+from manifold.colour.picture_files import notes_together
 from manifold.core.directions import from_spherical
 from manifold.core.errors import UsageError
 from manifold.core.judged_lights import BALL
 from manifold.core.metrics import EXPECTED_COLUMNS, Errors
-from manifold.core.names import counted, first_few, percent
+from manifold.core.names import counted, percent
 from manifold.core.progress import Stages
 from manifold.core.records import Array
 from manifold.core.results import Result, derived, entry
@@ -477,17 +478,10 @@ def notes_of(completion: Completion, calibration: Calibration, balls: Sequence[S
 
 def _of_balls(balls: Sequence[SeenBall]) -> tuple[list[str], list[str]]:
     """Return notes on some of the pictures, and those on all; each names its pictures if it began with a name."""
-    named: dict[str, list[str]] = {}
-    for ball in balls:
-        beginning = f"{ball.photograph.path.name}: "
-        for note in dict.fromkeys(ball.notes):
-            rest = note.removeprefix(beginning)
-            named.setdefault(rest, []).append(ball.photograph.path.name if rest != note else "")
+    together = notes_together((ball.photograph.path.name, ball.notes) for ball in balls)
     of_some, of_all = list[str](), list[str]()
-    for note, names in named.items():
-        (of_all if len(names) == len(balls) else of_some).append(
-            f"{first_few(names)}: {note}" if all(names) else note
-        )
+    for note, count in together.items():
+        (of_all if count == len(balls) else of_some).append(note)
     return of_some, of_all
 
 

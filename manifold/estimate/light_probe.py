@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from manifold.colour.conversion import encode_srgb
+from manifold.colour.conversion import decode_srgb, encode_srgb
 from manifold.core.defaults import TINY
 from manifold.core.errors import UsageError
 from manifold.core.names import percent
@@ -21,6 +21,7 @@ from manifold.core.records import Array, Indices, Mask, evenly_spaced
 from manifold.estimate.lamps import Lamp
 from manifold.estimate.outlines import BRIGHT, Circle, Outline, Photograph, outlines_in
 from manifold.estimate.pixel_mixtures import INDEPENDENT
+from manifold.formats.readings import Assumption
 
 _SIDES = (24, 48)  # pixels across a ball that are compared, to choose a start and to refine it
 _RIM = 0.95  # share of the radius that is compared
@@ -38,10 +39,17 @@ _MODEL_DEG = (
 )
 _TOGETHER = 12  # pictures that are fitted together; of more, some evenly spaced
 _DOUBTED_DEG = 10.0  # least doubtful angle; lamps are found within 7 degrees in pictures of a matte ball
-_LINEAR_RESIDUAL = 0.035  # largest residual of linear codes that explains pictures well
+_WELL_EXPLAINED = 0.035  # largest residual of pictures that are explained well
 _CLEARLY = 1.6  # least ratio of residuals of two encodings: at most 1.33 in triples of pictures that are sRGB
 _CLEARLY_OF_FEW = 2.5  # the same of one or two pictures: at most 2.1 in single ones that are sRGB
 _DOUBTFUL = 2.0  # ratio of these residuals at which both encodings are about equally probable
+_SURE_DEG = 3.0  # of a coarse estimate, within which given lamps confirm how pictures were read
+_NEAR_DEG = 5.0  # within which given lamps confirm the other encoding; they are measured to some 4 degrees
+_NEARER_DEG = (
+    5.0  # by which it is at least nearer to them; correct lamps are 3 to 14 degrees off in the wrong one
+)
+_SMALLER = 1.2  # least ratio of residuals at which angles below the doubtful one are believed
+_MOST_RESIDUAL = 0.3  # of a ball whose encoding is in doubt
 _OF_ENCODING = 3  # pictures in which encodings are compared; of more, some evenly spaced
 
 _NODES = np.sqrt([0.0, 1.0, 2.5, 4.5, 7.0, 10.0, 13.0, 17.0, 22.0, 28.0, 35.0, 45.0, 58.0, 72.0, 90.0])
@@ -99,12 +107,16 @@ class Probe:
 
 
 def find_light(
-    photographs: Sequence[Photograph], circle: Circle | None = None, distance: float = np.inf
+    photographs: Sequence[Photograph],
+    circle: Circle | None = None,
+    distance: float = np.inf,
+    *,
+    most_residual: float = _LARGEST_RESIDUAL,
 ) -> Probe:
     """Estimate the outline of a ball that did not move, and the single lamp of every photograph.
 
     All photographs have the same size. A given circle is refined. The lamps are `distance` radii from the ball's
-    centre.
+    centre. Raises UsageError if the residual of a photograph is larger than `most_residual`.
     """
     sizes = {one.values.shape[:2] for one in photographs}
     if len(sizes) > 1:
@@ -123,7 +135,7 @@ def find_light(
     pixels, fit = _refined(some, *min(tried, key=lambda each: each[1].cost))
     if len(some) < len(smaller):
         pixels, fit = _with_others(_Pixels.of(smaller, pixels.circle, distance, _SIDES[1]), fit, chosen)
-    found = pixels.probe(fit, photographs)
+    found = pixels.probe(fit, photographs, most_residual)
     return replace(found, circle=found.circle.scaled(factor))
 
 
@@ -135,10 +147,8 @@ def given_lamp_notes(photograph: Photograph, circle: Circle, lamp: Lamp) -> tupl
     """
     if np.isfinite(lamp.distance):
         return ()
-    factor = photograph.factor
     try:
-        pixels, fit = _coarse_fit([photograph.reduced(factor)], circle.scaled(1.0 / factor), np.inf)
-        seen = pixels.probe(fit, [photograph])
+        seen = _coarse_probe(photograph, circle)
     except UsageError:
         return ()
     apart = seen.lamps[0].degrees_from(lamp)
@@ -151,38 +161,107 @@ def given_lamp_notes(photograph: Photograph, circle: Circle, lamp: Lamp) -> tupl
     )
 
 
-def doubt_encoding(photographs: Sequence[Photograph], probe: Probe) -> tuple[Probe, tuple[str, ...]]:
-    """Return a warning if photographs that were decoded as sRGB seem to hold linear values.
+def given_encoding_notes(
+    photographs: Sequence[Photograph], circles: Sequence[Circle], lamps: Sequence[Lamp], *, are_given: bool
+) -> tuple[str, ...]:
+    """Return a warning if photographs seem to be encoded otherwise than they were read, given their far lamps.
 
-    That is so if one lamp explains the undecoded values well, and clearly better than the probe explains the decoded
-    ones. The uncertainty of the probe's lamps is then increased by the angle between both estimates, and by a share of
-    it if the undecoded values are explained less clearly.
+    That is so if the shading agrees with the lamps only when the photographs are read otherwise. Circles that were not
+    given, but found, are searched again, because the encoding moves them as well.
     """
-    if not all(one.is_encoded for one in photographs):
-        return probe, ()
     chosen = evenly_spaced(len(photographs), _OF_ENCODING).tolist()
-    codes = [replace(one, values=encode_srgb(one.values)) for one in (photographs[k] for k in chosen)]
+    read = [photographs[k] for k in chosen]
+    otherwise = _read_otherwise(read)
+    if otherwise is None or any(np.isfinite(lamps[k].distance) for k in chosen):
+        return ()
     try:
-        of_codes = find_light(codes, probe.circle, probe.lamps[0].distance)
+        probes = [_coarse_probe(one, circles[k], _MOST_RESIDUAL) for one, k in zip(read, chosen, strict=True)]
+        off = [one.lamps[0].degrees_from(lamps[k]) for one, k in zip(probes, chosen, strict=True)]
+        if np.median(off) < _SURE_DEG:
+            return ()
+        apart, residual = [], []
+        for pictures in (read, otherwise):
+            probes = [
+                find_light([one], circles[k] if are_given else None, most_residual=_MOST_RESIDUAL)
+                for one, k in zip(pictures, chosen, strict=True)
+            ]
+            off = [one.lamps[0].degrees_from(lamps[k]) for one, k in zip(probes, chosen, strict=True)]
+            apart.append(float(np.median(off)))
+            residual.append(float(np.mean([one.residual[0] for one in probes])))
+    except UsageError:
+        return ()
+    (far, near), (large, small) = apart, residual
+    is_doubted = far > _DOUBTED_DEG or large > _SMALLER * small
+    if near > _NEAR_DEG or far < near + _NEARER_DEG or not is_doubted:
+        return ()
+    return (
+        _advice(
+            read[0],
+            f"the lamp that explains the ball best is {far:.0f} degrees away from the given one, with a residual of "
+            f"{percent(large, 1)}",
+            f"it is {near:.0f} degrees away, with {percent(small, 1)}",
+        ),
+    )
+
+
+def doubt_encoding(photographs: Sequence[Photograph], probe: Probe) -> tuple[Probe, tuple[str, ...]]:
+    """Return a warning if photographs seem to be encoded otherwise than they were read.
+
+    That is so if one lamp explains the photographs well when they are read otherwise, and clearly better than the
+    probe explains them. The uncertainty of the probe's lamps is then increased by the angle between both estimates, and
+    by a share of it if they are explained less clearly.
+    """
+    chosen = evenly_spaced(len(photographs), _OF_ENCODING).tolist()
+    otherwise = _read_otherwise([photographs[k] for k in chosen])
+    if otherwise is None:
+        return probe, ()
+    try:
+        other = find_light(otherwise, probe.circle, probe.lamps[0].distance)
     except UsageError:
         return probe, ()
-    linear = float(np.mean(of_codes.residual))
+    small = float(np.mean(other.residual))
     residual = float(np.mean([probe.residual[k] for k in chosen]))
-    between = [one.degrees_from(probe.lamps[k]) for one, k in zip(of_codes.lamps, chosen, strict=True)]
+    between = [one.degrees_from(probe.lamps[k]) for one, k in zip(other.lamps, chosen, strict=True)]
     apart = [between[chosen.index(k)] if k in chosen else max(between) for k in range(len(photographs))]
-    ratio = residual / max(linear, TINY)
-    is_clear = linear <= _LINEAR_RESIDUAL and ratio >= (
-        _CLEARLY if len(chosen) >= _OF_ENCODING else _CLEARLY_OF_FEW
-    )
+    ratio = residual / max(small, TINY)
+    least = _CLEARLY if len(chosen) >= _OF_ENCODING else _CLEARLY_OF_FEW
+    is_clear = small <= _WELL_EXPLAINED and ratio >= least
     probability = 1.0 if is_clear else 1.0 / (1.0 + (_DOUBTFUL / max(ratio, TINY)) ** 4)
     wider = np.hypot(probe.lamp_deg, np.sqrt(probability) * np.array(apart))
     probe = replace(probe, lamp_deg=tuple(wider.tolist()))
     if not is_clear:
         return probe, ()
-    return probe, (
-        f"the pictures were read as sRGB, and one lamp explains the ball to {percent(residual, 1)}; read as linear, to "
-        f"{percent(linear, 1)}: if their values are linear, add --linear, else the lamps are wrong",
+    explained = f"one lamp explains the ball to {percent(residual, 1)}"
+    return probe, (_advice(photographs[0], explained, f"to {percent(small, 1)}"),)
+
+
+def _read_otherwise(photographs: Sequence[Photograph]) -> list[Photograph] | None:
+    """Return photographs with linear values encoded, or display values not decoded; None if that is not in doubt."""
+    is_encoded = photographs[0].is_encoded
+    if any(one.is_certain or one.is_encoded != is_encoded for one in photographs):
+        return None
+    if not is_encoded and max(float(np.nanmax(one.values, initial=0.0)) for one in photographs) > 1.0:
+        return None
+    change = encode_srgb if is_encoded else decode_srgb
+    return [replace(one, values=change(one.values)) for one in photographs]
+
+
+def _advice(photograph: Photograph, before: str, after: str) -> Assumption:
+    """Return the advice to read photographs otherwise, which explains the ball better."""
+    read, other, option = (
+        ("sRGB", "linear", "--linear") if photograph.is_encoded else ("linear", "sRGB", "--encoded")
     )
+    return Assumption(
+        f"the pictures were read as {read}, and {before}; read as {other}, {after}: if their values are {other}, add "
+        f"{option}, else the lamps are wrong"
+    )
+
+
+def _coarse_probe(photograph: Photograph, circle: Circle, most_residual: float = _LARGEST_RESIDUAL) -> Probe:
+    """Return the estimated light of one photograph without its refinement. Raises UsageError as `find_light`."""
+    factor = photograph.factor
+    pixels, fit = _coarse_fit([photograph.reduced(factor)], circle.scaled(1.0 / factor), np.inf)
+    return pixels.probe(fit, [photograph], most_residual)
 
 
 def _coarse_fit(photographs: Sequence[Photograph], circle: Circle, distance: float) -> tuple[_Pixels, _Fit]:
@@ -525,17 +604,23 @@ class _Pixels:
             np.sqrt(squares / np.maximum(np.sum((self.roots * self.is_seen) ** 2, axis=1), 1e-12))
         )
 
-    def probe(self, fit: _Fit, photographs: Sequence[Photograph]) -> Probe:
-        """Return the estimate of a fit."""
+    def probe(self, fit: _Fit, photographs: Sequence[Photograph], most_residual: float) -> Probe:
+        """Return the estimate of a fit. Raises UsageError beyond the largest residual."""
         residual = self.residual(fit)
         names = [one.path.name for one in photographs]
-        lost = [name for name, one in zip(names, residual, strict=True) if one > _LARGEST_RESIDUAL]
+        lost = [name for name, one in zip(names, residual, strict=True) if one > most_residual]
         if lost:
-            is_encoded = any(one.is_encoded for one in photographs)
+            hints = [
+                "; add --linear if its values are linear"
+                if one.is_encoded
+                else "; add --encoded if its values are sRGB"
+                for one in photographs
+                if not one.is_certain
+            ]
             raise UsageError(
                 f"{', '.join(lost)}: no single lamp explains the ball (residual {percent(residual.max())}, expected at "
-                f"most {percent(_LARGEST_RESIDUAL)}); give its --circle, or the lamp by --lamp X,Y,Z or the light "
-                "by --light" + "; add --linear if its values are linear" * is_encoded
+                f"most {percent(most_residual)}); give its --circle, or the lamp by --lamp X,Y,Z or the light "
+                "by --light" + "".join(hints[:1])
             )
         covariance = np.linalg.pinv(fit.curvature)
         deviation = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))

@@ -46,6 +46,7 @@ class Photograph:
             W).
         notes: assumptions about the file, in sentences.
         is_encoded: whether the values of the file were decoded as sRGB.
+        is_certain: whether that follows from the format or was given; otherwise it may be wrong.
     """
 
     path: Path
@@ -53,6 +54,7 @@ class Photograph:
     is_clipped: Mask
     notes: tuple[str, ...] = ()
     is_encoded: bool = False
+    is_certain: bool = False
 
     @property
     def factor(self) -> int:
@@ -67,9 +69,9 @@ class Photograph:
         return replace(self, values=reduced(self.values, factor), is_clipped=clipped)
 
 
-def read_photograph(path: Path, is_linear: bool = False) -> Photograph:
-    """Read a photograph, see `colour.pictures.read_picture`; with `is_linear`, values of any file are linear."""
-    picture = read_picture(path)
+def read_photograph(path: Path, is_linear: bool | None = None) -> Photograph:
+    """Read a photograph, see `colour.picture_files.read_picture`."""
+    picture = read_picture(path, is_linear, finds_plateaus=True)
     height, width = picture.values.shape[:2]
     if min(height, width) < _LEAST_SIZE:
         raise FileFormatError(
@@ -77,15 +79,9 @@ def read_photograph(path: Path, is_linear: bool = False) -> Photograph:
         )
     seen: Mask = np.isfinite(picture.values).all(axis=2) & picture.is_opaque
     values = np.where(seen[..., None], picture.values, np.float32(np.nan))
-    notes = picture.notes
-    if is_linear and picture.is_encoded:
-        values, notes = (
-            encode_srgb(values).astype(np.float32),
-            (f"{path.name}: values read as linear",),
-        )
     grey = (f"{path.name}: a grey picture, which does not determine the colour",) * picture.is_grey
     return Photograph(
-        path, values, picture.is_clipped & seen, notes + grey, picture.is_encoded and not is_linear
+        path, values, picture.is_clipped & seen, picture.notes + grey, picture.is_encoded, picture.is_certain
     )
 
 

@@ -28,7 +28,12 @@ from manifold.estimate.lamps import (
     require_in_front,
     unwrapped,
 )
-from manifold.estimate.light_probe import doubt_encoding, find_light, given_lamp_notes
+from manifold.estimate.light_probe import (
+    doubt_encoding,
+    find_light,
+    given_encoding_notes,
+    given_lamp_notes,
+)
 from manifold.estimate.outlines import (
     Circle,
     Cylinder,
@@ -75,7 +80,8 @@ class PhotoRequest:
         each: whether every photograph has its own exposure; None if that is so unless files of lamps state
             intensities.
         grey: grey card that faces the camera beside the ball, `X,Y,W,H,REFLECTANCE`, in pixels; None without one.
-        is_linear: whether the files hold linear values, whatever their format.
+        is_linear: whether the values of all files are linear, or encoded for a display, see
+            `colour.picture_files.read_picture`; None as each file says.
         dark: photograph without light, which is subtracted from all others; None without one.
         light_balls: photographs of a mirror ball by the same camera, in place of environments, `PICTURE` or
             `PICTURE@X,Y,R` with its outline.
@@ -92,7 +98,7 @@ class PhotoRequest:
     lamps: Sequence[str] = ()
     each: bool | None = False
     grey: str | None = None
-    is_linear: bool = False
+    is_linear: bool | None = None
     dark: Path | None = None
     light_balls: Sequence[str] = ()
 
@@ -201,7 +207,7 @@ def see(request: PhotoRequest) -> tuple[SeenBall, ...]:
         read = {text: _around(text, camera, request.is_linear) for text in dict.fromkeys(lights)}
     else:
         lights = _for_each(n, request.lights, "lights")
-        read = {name: (*_light(name), ()) for name in dict.fromkeys(lights)}
+        read = {name: (*_light(name, request.is_linear), ()) for name in dict.fromkeys(lights)}
     balls = []
     for photograph, light, text, turn_deg in zip(photographs, lights, circles, turns, strict=True):
         circle, doubts = _outline_of([photograph], text)
@@ -245,6 +251,9 @@ def _under_lamps(
             outlines = [_outline_of(photographs, circles[0])] * len(photographs)
         else:
             outlines = [_outline_of([one], text) for one, text in zip(photographs, circles, strict=True)]
+        if not request.has_cylinder:
+            found = [circle for circle, _ in outlines]
+            warnings = given_encoding_notes(photographs, found, lamps, are_given=all(circles))
     if request.grey is not None:  # which measures the light
         lamps = [replace(lamp, colour=np.ones(3)) for lamp in lamps]
     elif not all(lamp.known == "colour" for lamp in lamps):
@@ -260,7 +269,7 @@ def _under_lamps(
             _require_possible(seen, circle, request.grey)
         sighting = Sighting(blocks_of(seen, circle, len(photographs)), camera, (lamp,))
         own = photograph.notes + notes + doubts
-        if apart is None and not isinstance(circle, Cylinder):
+        if apart is None and not warnings and not isinstance(circle, Cylinder):
             own += given_lamp_notes(photograph, circle, lamp)
         if np.mean(sighting.pairs[2] / lamp.colour) < _LEAST_LIGHT:
             raise UsageError(
@@ -371,13 +380,13 @@ def _for_each(n: int, values: Sequence[Any], what: str) -> list[Any]:
     return list(values) * (n if len(values) == 1 else 1)
 
 
-def _light(name: str) -> tuple[Array, Environment, tuple[str, ...]]:
+def _light(name: str, is_linear: bool | None) -> tuple[Array, Environment, tuple[str, ...]]:
     """Return an environment by its file or name, as a picture and for sampling, and notes."""
     notes: tuple[str, ...] = ()
     if name in ENVIRONMENTS and not Path(name).is_file():
         image = environment(name, 256).astype(float)
     else:
-        picture = read_picture(Path(name))
+        picture = read_picture(Path(name), is_linear)
         image = np.where(picture.is_opaque[..., None], picture.values, np.nan).astype(float)
         notes = picture.notes
         count = np.count_nonzero(picture.is_clipped)
@@ -395,7 +404,7 @@ def _light(name: str) -> tuple[Array, Environment, tuple[str, ...]]:
 
 
 def _around(
-    text: str, camera: Camera, is_linear: bool
+    text: str, camera: Camera, is_linear: bool | None
 ) -> tuple[Array, Environment, tuple[str, ...], Sequence[Lamp]]:
     """Return a photographed mirror ball's environment: as a picture, for sampling, notes, and clipped spots."""
     name, _, given = (text, "", "") if Path(text).is_file() else text.rpartition("@")

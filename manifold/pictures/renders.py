@@ -14,6 +14,7 @@ import numpy as np
 
 from manifold import __version__
 from manifold.colour.conversion import warn_if_invisible
+from manifold.colour.picture_files import notes_together, read_picture
 from manifold.colour.reflectances import ReflectanceSpectrum
 from manifold.core import shipped
 from manifold.core.errors import UsageError
@@ -207,11 +208,12 @@ class Comparison(Result):
 
 
 def compare(
-    a: MaterialSource, b: MaterialSource, output: Path, settings: RenderSettings,
+    a: MaterialSource, b: MaterialSource, output: Path, settings: RenderSettings, *, is_linear: bool | None = None,
 ) -> Comparison:  # fmt: skip
     """Compare two pictures, or the renders of two materials, and draw maps of their difference.
 
-    Linear pictures are tone-mapped first, so values brighter than the display are compressed.
+    Linear pictures are tone-mapped first, so values brighter than the display are compressed. `is_linear` says whether
+    pictures are linear or encoded; by default they are read as they say.
 
     Raises:
         UsageError: one is a material and the other a picture, or the figure cannot be written.
@@ -232,7 +234,9 @@ def compare(
     ball = None
     diagnostics: list[str] = []
     if pictures:
-        first, second = (images.read_display(path) for path in pictures)
+        read = [read_picture(path, is_linear) for path in pictures]
+        first, second = (images.as_display(picture) for picture in read)
+        diagnostics += notes_together((one.path.name, one.notes) for one in read if one.is_guessed)
         names = (pictures[0].name, pictures[1].name)
     else:
         stages = Stages({"": 1, "rendering": 2, "rendering the other": 2})

@@ -66,12 +66,21 @@ def read_material(path: Path) -> BallMaterial:
 
 
 def make_settings(
-    *, size: int, samples: int, seed: int, illuminant: str, environment: Path | None
+    *,
+    size: int,
+    samples: int,
+    seed: int,
+    illuminant: str,
+    environment: Path | None,
+    is_linear: bool | None = None,
 ) -> RenderSettings:
-    """Return render settings, given the name or file of an illuminant, and the file of an environment."""
+    """Return render settings, given the name or file of an illuminant, and the file of an environment.
+
+    `is_linear` says whether the environment's values are linear; by default as its file says.
+    """
     image = None
     if environment is not None:
-        radiance = images.read_image(environment)
+        radiance = images.read_image(environment, is_linear)
         try:
             image = lights.exposed(radiance)
         except UsageError as error:

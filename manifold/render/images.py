@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -59,29 +60,49 @@ def write_image(path: Path, linear: Array) -> None:
         with disk.replacing(path) as partial, backend.two_threads():
             mi.Bitmap(np.ascontiguousarray(values)).write(str(partial))
     else:
-        write_display(path, tone_map(linear))
+        write_display(path, tone_map(linear), is_srgb=True)
 
 
-def write_display(path: Path, values: Array) -> None:
-    """Write display values in [0, 1], (H, W, 3) or with their opacity (H, W, 4), as PNG."""
+def write_display(path: Path, values: Array, *, is_srgb: bool = False) -> None:
+    """Write display values in [0, 1], (H, W, 3) or with their opacity (H, W, 4), as PNG.
+
+    With `is_srgb`, the file states its colour space; textures of slopes have none.
+    """
     from PIL import Image as PillowImage
+    from PIL.PngImagePlugin import PngInfo
 
     picture = PillowImage.fromarray(np.round(values * 255.0).astype(np.uint8))
+    chunks = PngInfo()
+    if is_srgb:
+        chunks.add(b"sRGB", b"\0")  # perceptual rendering intent
     with disk.replacing(path) as partial:
-        picture.save(partial, "PNG", compress_level=_COMPRESSION)
+        picture.save(partial, "PNG", compress_level=_COMPRESSION, pnginfo=chunks)
 
 
-def read_image(path: Path) -> Array:
+class GuessedEncodingWarning(UserWarning):
+    """Warns that a picture does not say whether its values are linear."""
+
+
+def read_image(path: Path, is_linear: bool | None = None) -> Array:
     """Read a picture as linear sRGB, float64, shape (H, W, 3).
 
-    Display pictures are decoded, see `colour.pictures.read_picture`.
+    Display pictures are decoded, see `colour.picture_files.read_picture`. A GuessedEncodingWarning says if that was a
+    guess.
     """
-    return _finite(read_picture(path)).astype(np.float64)
+    picture = read_picture(path, is_linear)
+    if picture.is_guessed:
+        for note in picture.notes:
+            warnings.warn(note, GuessedEncodingWarning, stacklevel=3)
+    return _finite(picture).astype(np.float64)
 
 
 def read_display(path: Path) -> Array:
     """Read a picture as display values in [0, 1], shape (H, W, 3); a linear one is tone-mapped."""
-    picture = read_picture(path)
+    return as_display(read_picture(path))
+
+
+def as_display(picture: Image) -> Array:
+    """Return a picture's display values in [0, 1], shape (H, W, 3); a linear one is tone-mapped."""
     linear = _finite(picture)
     return encode_srgb(linear) if picture.is_encoded else tone_map(linear)
 

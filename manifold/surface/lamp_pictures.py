@@ -10,9 +10,10 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter
 
-from manifold.colour.picture_files import SUFFIXES, read_picture
+from manifold.colour.picture_files import SUFFIXES, Image, notes_together, read_picture
 from manifold.core.defaults import TINY
 from manifold.core.errors import FileFormatError, UsageError
+from manifold.core.names import percent
 from manifold.core.records import Array, Mask
 from manifold.estimate.lamps import intensities_beside, read_lamps, require_in_front
 from manifold.estimate.picture_colours import colour_of, odd_picture, reading_at
@@ -29,6 +30,7 @@ _SHIFT_STEP_PX = 0.05
 _LEAST_CORRELATION = 0.3  # of fine detail between two channels, to register them
 _HALF_CODE = 0.5 / 255.0
 _ABOVE = float(np.cos(np.deg2rad(1.0)))  # least cosine of a camera above the sample
+_FEW_CLIPPED = 0.001  # share of a picture's pixels, such as glints and dead ones
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,13 +127,15 @@ def read_workbook(path: Path, sample: str | None = None) -> tuple[SurfacePicture
     return pictures, readings
 
 
-def read_folder(pictures: Sequence[Path], lamps: Path) -> SurfacePictures:
+def read_folder(pictures: Sequence[Path], lamps: Path, is_linear: bool | None = None) -> SurfacePictures:
     """Read pictures of a flat specimen that is seen from above.
 
     Args:
         pictures: one file per lamp, in the order of the lamps unless the lamps name their pictures.
         lamps: text file of directions (see `estimate.lamps.read_lamps`); x points right in the pictures, y up, z
             towards the camera.
+        is_linear: whether the values of the pictures are linear, see `colour.picture_files.read_picture`; None as
+            their files say.
 
     Raises:
         UsageError: the numbers of lamps and pictures differ, or a lamp is not in front of the surface.
@@ -146,8 +150,15 @@ def read_folder(pictures: Sequence[Path], lamps: Path) -> SurfacePictures:
         )
     require_in_front(found, names, TINY, "the surface")
     beside = intensities_beside(lamps)
-    read = (read_picture(path).values / lamp.colour for path, lamp in zip(pictures, found, strict=True))
-    values = _stacked(lamps, read, len(pictures))
+    told: list[tuple[str, Sequence[str]]] = []
+
+    def read() -> Iterable[Array]:
+        for path, lamp in zip(pictures, found, strict=True):
+            picture = read_picture(path, is_linear, finds_plateaus=True)
+            told.append((path.name, (*picture.notes, *_clipped(picture))))
+            yield picture.values / lamp.colour
+
+    values = _stacked(lamps, read(), len(pictures))
     np.maximum(values, _HALF_CODE, out=values)
     return SurfacePictures(
         pictures[0].parent.resolve().name, values, np.array([lamp.direction for lamp in found]),
@@ -155,9 +166,21 @@ def read_folder(pictures: Sequence[Path], lamps: Path) -> SurfacePictures:
         (
             "no readings: colours are relative to the brightest points, slopes as steep as a Lambertian's would be",
             *(() if beside is None else (f"intensities of the lamps from {beside.name}",)),
+            *notes_together(told),
         ),
         (*pictures, lamps, *(() if beside is None else (beside,))),
     )  # fmt: skip
+
+
+def _clipped(picture: Image) -> tuple[str, ...]:
+    """Return a note about a picture with clipped pixels, whose colours and slopes are not known."""
+    share = float(np.mean(picture.is_clipped))
+    if share < _FEW_CLIPPED:
+        return ()
+    return (
+        f"{picture.path.name}: more than {percent(_FEW_CLIPPED, 1)} of the pixels are clipped, where colours and "
+        "slopes are wrong; expose it less",
+    )
 
 
 def files_in(sources: Sequence[Path]) -> list[Path]:

@@ -30,7 +30,13 @@ from manifold.estimate.lamps import (
     read_lamps,
     unwrapped,
 )
-from manifold.estimate.light_probe import doubt_encoding, edges_on_limb, find_light, given_lamp_notes
+from manifold.estimate.light_probe import (
+    doubt_encoding,
+    edges_on_limb,
+    find_light,
+    given_encoding_notes,
+    given_lamp_notes,
+)
 from manifold.estimate.outlines import Circle, Cylinder, Photograph, given_outline_notes, outlines_in
 from manifold.estimate.pixels import Camera, Environment, block_sums, blocks_of
 from manifold.estimate.sightings import PhotoRequest, SeenBall, Sighting, have_own_exposures, see
@@ -180,7 +186,42 @@ def test_linear_pictures_that_are_read_as_srgb_are_noted(brdf):
                 )
             )
             assert np.sqrt(np.mean((off / wider.lamp_deg) ** 2)) < 2.0
-        assert doubt_encoding([replace(one, is_encoded=False) for one in pictures], probe) == (probe, ())
+        assert doubt_encoding([replace(one, is_certain=True) for one in pictures], probe) == (probe, ())
+
+
+def read_as_linear(photograph):
+    return replace(photograph, values=encode_srgb(photograph.values), is_encoded=False)
+
+
+def test_encoded_pictures_that_are_read_as_linear_are_noted():
+    pictures = [read_as_linear(stored(MATTE, direction, encode_srgb)) for direction in DIRECTIONS]
+    _, notes = doubt_encoding(pictures, find_light(pictures))
+    assert any("add --encoded" in note for note in notes)
+    pictures = [read_as_linear(stored(MATTE, direction, lambda values: values)) for direction in DIRECTIONS]
+    probe = find_light(pictures)
+    assert doubt_encoding(pictures, probe) == (probe, ())
+
+
+@pytest.mark.parametrize(
+    ("codes_of", "read", "option"),
+    [
+        (lambda values: values, lambda one: one, "--linear"),
+        (encode_srgb, lambda one: one, None),
+        (encode_srgb, read_as_linear, "--encoded"),
+        (lambda values: values, read_as_linear, None),
+    ],
+    ids=["linear as sRGB", "sRGB", "sRGB as linear", "linear"],
+)
+def test_given_lamps_say_how_pictures_are_encoded(codes_of, read, option):
+    """Correct lamps disagree with the shading where values are read wrongly; wrong lamps do so in either reading."""
+    direction = np.array([0.5, 0.3, 1.0])
+    picture = read(stored(MATTE, direction, codes_of))
+    notes = given_encoding_notes([picture], [CIRCLE], [Lamp.towards(direction)], are_given=True)
+    assert [f"add {option}," in note for note in notes] == [True] * (option is not None)
+    certain = replace(picture, is_certain=True)
+    assert given_encoding_notes([certain], [CIRCLE], [Lamp.towards(direction)], are_given=True) == ()
+    elsewhere = Lamp.towards(direction * [-1.0, 1.0, 1.0])
+    assert given_encoding_notes([picture], [CIRCLE], [elsewhere], are_given=True) == ()
 
 
 def test_of_many_pictures_some_say_all_but_the_lamps_of_the_others(monkeypatch):

@@ -5,15 +5,18 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import struct
 import subprocess
 import sys
 import warnings
+import zlib
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.small_library import measured, small_model
+from PIL import Image
 
 from manifold.analytic import corpus
 from manifold.analytic.ggx import GGX
@@ -29,6 +32,7 @@ from manifold.core.records import Bands
 from manifold.io_rgl import write_bsdf
 from manifold.render import backend, images, render, scenes
 from manifold.render.ball import make_settings, parse_illuminant, read_material, render_material
+from manifold.render.images import GuessedEncodingWarning
 from manifold.render.render import RenderSettings, render_bsdf
 
 GREY = {"type": "diffuse", "reflectance": {"type": "uniform", "value": 0.4}}
@@ -235,6 +239,42 @@ def test_ciede2000_maps_are_those_of_single_colours():
 
 
 # -- command line ---------------------------------------------------------------------------------------------
+
+
+def test_pictures_are_compared_in_the_spaces_that_they_state(tmp_path, run):
+    codes = np.full((32, 32, 3), (200, 60, 40), np.uint8)
+    p3 = np.full((32, 32, 3), (217, 42, 23), np.uint8)  # of the same codes in Display P3, in sRGB
+    Image.fromarray(p3).save(tmp_path / "srgb.png")
+    Image.fromarray(codes).save(tmp_path / "plain.png")
+    chunk = b"cICP" + bytes([12, 13, 0, 1])
+    content = (tmp_path / "plain.png").read_bytes()
+    stated = struct.pack(">I", 4) + chunk + struct.pack(">I", zlib.crc32(chunk))
+    (tmp_path / "p3.png").write_bytes(content[:33] + stated + content[33:])
+
+    def mean(*names, options=()):
+        status, _, stderr = run("compare", *names, "-o", "c.png", "--json", "c.json", *options, cwd=tmp_path)
+        assert status == 0, stderr
+        return json.loads((tmp_path / "c.json").read_text())["ciede2000"]["mean"]
+
+    assert mean("p3.png", "plain.png") > 3.0
+    assert mean("p3.png", "srgb.png") < 0.5  # rounding of codes
+    assert mean("plain.png", "plain.png", options=["--linear"]) == 0.0
+    with pytest.raises(AssertionError, match="expected one of them"):
+        mean("plain.png", "plain.png", options=["--linear", "--encoded"])
+
+
+def test_an_environment_is_read_as_asked(tmp_path):
+    codes = np.full((16, 32, 3), 128, np.uint8)
+    codes[:, :16] = 64
+    Image.fromarray(codes).save(tmp_path / "room.png")
+    options = {"size": 16, "samples": 1, "seed": 0, "illuminant": "D65", "environment": tmp_path / "room.png"}
+    with pytest.warns(GuessedEncodingWarning, match="states no encoding"):
+        decoded = make_settings(**options).environment
+    linear = make_settings(**options, is_linear=True).environment
+    assert decoded[0, 0, 0] / decoded[0, 20, 0] == pytest.approx(
+        decode_srgb(64 / 255) / decode_srgb(128 / 255)
+    )
+    assert linear[0, 0, 0] / linear[0, 20, 0] == pytest.approx(0.5)
 
 
 def test_render_and_compare_on_the_command_line(folder, tmp_path, run):

@@ -450,6 +450,19 @@ def test_a_workbook_without_pictures_is_refused_by_name(tmp_path):
         read_workbook(tmp_path / "bare.xlsx")
 
 
+def test_clipped_pictures_of_a_surface_are_noted(rng, tmp_path):
+    files = []
+    for k in range(3):
+        codes = rng.integers(60, 200, (40, 50, 3), dtype=np.uint8)
+        codes[:2] = 255 if k == 1 else 100
+        files.append(tmp_path / f"{k}.png")
+        Image.fromarray(codes).save(files[-1])
+    lamps = tmp_path / "lamps.txt"
+    lamps.write_text("1 0 1\n0 1 1\n-1 0 1\n")
+    noted = [note for note in read_folder(files, lamps).notes if "are clipped" in note]
+    assert [note.partition(":")[0] for note in noted] == ["1.png"]
+
+
 def test_a_folder_of_pictures_and_a_table_of_lamps_are_read(rng, tmp_path):
     files = []
     for k in range(3):
@@ -464,6 +477,10 @@ def test_a_folder_of_pictures_and_a_table_of_lamps_are_read(rng, tmp_path):
     np.testing.assert_allclose(
         pictures.values[1], read_picture(files[1]).values / 2.0, rtol=1e-6
     )  # twice as bright
+    assert any("read as sRGB" in note and note.startswith("0.png, 1.png") for note in pictures.notes)
+    linear = read_folder(files, lamps, is_linear=True)
+    codes = np.asarray(Image.open(files[1])) / 255.0
+    np.testing.assert_allclose(linear.values[1], codes / 2.0, rtol=1e-6)
     lamps.write_text("1 0 1\n0 1 1\n")
     with pytest.raises(UsageError, match="found 2 lamps for 3 pictures"):
         read_folder(files, lamps)

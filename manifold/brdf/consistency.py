@@ -1,6 +1,6 @@
 """Checks the values of an RGL file against each other, against other fields, and against physical limits.
 
-Six comparisons find values that were scaled, swapped or damaged; docs/explanation/rgl-files.md describes them.
+Seven comparisons find values that were scaled, swapped or damaged; docs/explanation/rgl-files.md describes them.
 """
 
 from __future__ import annotations
@@ -12,13 +12,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from manifold.brdf.goniometer import node_normals, visible_normals
+from manifold.brdf.goniometer import WARP_NODES, node_normals, visible_normals
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import cells_of
+from manifold.brdf.warp import interpolate
 from manifold.colour.colour_science import frozen
 from manifold.colour.conversion import sensor_responses, xyz_to_srgb, xyz_weights
 from manifold.colour.illuminants import Illuminant
-from manifold.core.directions import HORIZON, from_spherical
+from manifold.core.compiled import loops
+from manifold.core.directions import HORIZON, from_spherical, u_to_phi, u_to_theta
 from manifold.core.names import counted, first_few, percent
 from manifold.core.records import Array, BsdfFile, Indices, Mask, evenly_spaced
 
@@ -36,6 +38,9 @@ _SPECTRAL_LUMINANCE_TOLERANCE = 0.1  # relative: the weights that the database s
 _MOST_WARP_DIFFERENCE = (
     0.03  # total variation from the visible normals (0.005; files written here: 0.08 and more)
 )
+_MOST_AREA_RATIO = 1.25  # of `sigma` to the projected area of `ndf` (1.03; narrow anisotropic files: 1.12)
+_QUADRATURE = 4  # elevations of normals per node of `ndf`
+_MOST_NODES = 1024  # per axis of `ndf` that the quadrature follows; the database has 128
 _LEAST_EXPLAINED = 0.9  # least share of the cells of several slices that one change explains
 _DARK = 0.01  # albedo, or stored value relative to the median
 _BROAD_NM = 10.0  # bands this far apart may differ by any factor
@@ -97,6 +102,7 @@ def check_consistency(file: BsdfFile, *, has_exact_luminance: bool = True) -> Co
     # What is said of whole slices does not follow from what is said of their cells.
     rest = _measure(mended, filled) if cells else (albedo, reciprocity)
     findings = (
+        *_of_normals(file),
         *luminance.findings,
         *_of_cells(file, cells),
         *_of_albedo(file, rest[0]),
@@ -304,6 +310,43 @@ def _neighbour_range(values: Array, filled: Mask) -> tuple[Array, Array]:
     few = count < 3
     low[:, few], high[:, few] = np.nan, np.nan
     return low, high
+
+
+def _of_normals(file: BsdfFile) -> list[str]:
+    """Return a sentence if `ndf` is zero everywhere, or if `sigma` is not the projected area of its normals."""
+    if not file.jacobian:
+        return []
+    if not np.any(file.ndf):
+        return ["the field 'ndf' is zero everywhere, and so is the BRDF"]
+    x = np.linspace(0.0, 1.0, min(file.sigma.shape[1], WARP_NODES))
+    y = np.array([0.0]) if file.is_isotropic else np.linspace(0.0, 1.0, 17)
+    at = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    area = _projected_area(file.ndf, from_spherical(u_to_theta(at[:, 0]), u_to_phi(at[:, 1])))
+    with np.errstate(divide="ignore"):
+        ratio = interpolate(file.sigma, at) / area
+    worst = ratio[np.argmax(np.abs(np.log(ratio)))]
+    if 1.0 / _MOST_AREA_RATIO <= worst <= _MOST_AREA_RATIO:
+        return []
+    where = "" if np.ptp(ratio) < 0.1 * worst else "up to " if worst > 1.0 else "down to "
+    return [f"the field 'sigma' is {where}{worst:.3g} times the projected area that 'ndf' implies"]
+
+
+def _projected_area(ndf: Array, w: Array) -> Array:
+    """Return the projected area (K,) of the normals of a distribution (R, C) as seen from w (K, 3).
+
+    Source: Dupuy & Jakob 2018, section 4; the midpoint rule on the unit square.
+    """
+    rows, columns = (min(count, _MOST_NODES) for count in ndf.shape)
+    columns, rows = _QUADRATURE * (columns - 1), max(2 * rows, 64)
+    x, y = (np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows
+    theta = u_to_theta(x)
+    m = from_spherical(theta, u_to_phi(y)[:, None]).reshape(-1, 3)
+    # d omega = sin(theta) d theta d phi, d theta = pi x dx and d phi = 2 pi dy
+    measure = 2.0 * np.pi**2 * x * np.sin(theta) / (rows * columns)
+    D = interpolate(ndf, np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)).reshape(rows, columns)
+    area = np.empty(len(w))
+    loops.project_facets(w, np.ascontiguousarray(m.T), (D * measure).reshape(-1), area)
+    return area
 
 
 def _of_cells(file: BsdfFile, cells: Sequence[Cell]) -> list[str]:

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from manifold.colour.conversion import decode_srgb
-from manifold.core.errors import FileFormatError, MissingFileError
+from manifold.core import disk
+from manifold.core.errors import FileFormatError
 from manifold.core.extras import require
 from manifold.core.picture_bytes import KINDS
 from manifold.core.records import Array, Mask
@@ -67,8 +68,7 @@ def read_picture(path: Path) -> Image:
     picture is turned upright if the file states its orientation. In EXR and TIFF, only the channels red, green, blue
     or grey, and alpha are read.
     """
-    if not path.is_file():
-        raise MissingFileError(f"{path}: no such file; name a picture (.exr, .hdr, .tif, .png, .jpg)")
+    disk.require_regular(path, "name a picture (.exr, .hdr, .tif, .png, .jpg)")
     if path.suffix.lower() in RAW_SUFFIXES:
         return _read_raw(path)
     try:

@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from manifold.core.errors import FileAccessError, FileFormatError, ManifoldError, UnknownNameError, UsageError
+from manifold.core import disk
+from manifold.core.errors import FileFormatError, ManifoldError, UnknownNameError, UsageError
 from manifold.core.names import first_few, names_like, printable
 from manifold.formats.dense import DenseTable
 from manifold.formats.foreign import name_format
@@ -20,7 +21,6 @@ from manifold.formats.light_side import with_light_side_note, without_hidden
 from manifold.formats.readings import Readings
 from manifold.formats.tables import HEADERS
 from manifold.formats.tensor_file import holds_tensors
-from manifold.formats.text import read_bytes
 from manifold.formats.values import LONGEST_NM, SHORTEST_NM
 from manifold.registries import FORMATS
 
@@ -69,13 +69,13 @@ def identify(path: Path | str) -> Format | None:
 
 
 def _head(path: Path) -> bytes:
-    if not path.is_file():
-        read_bytes(path)  # says what it is
+    advice = "check the path"
+    disk.require_regular(path, advice)
     try:
         with path.open("rb") as stream:
             return stream.read(_SNIFFED)
     except OSError as error:
-        raise FileAccessError(f"{path}: cannot be read ({error.strerror}); check the path") from error
+        raise disk.cannot_read(path, error, advice) from error
 
 
 def unknown(path: Path) -> FileFormatError:

@@ -14,7 +14,7 @@ from helpers.small_library import small_model
 
 from manifold.analytic.base import Lambert
 from manifold.analytic.virtual_instruments import MA_T12_BANDS, write_ma_t12
-from manifold.core.errors import ManifoldError, UsageError
+from manifold.core.errors import ManifoldError, MissingFileError, UsageError
 from manifold.estimate.inputs import Input, find_inputs, find_samples
 from manifold.estimate.instruments import calibrate
 from manifold.estimate.sources import FileSource, PlaceSource
@@ -212,7 +212,7 @@ def test_what_a_file_is_made_of_has_the_content_of_the_reflectance_and_not_its_p
 
     assert made_of((0.1, 0.2, 0.3)) == made_of((0.1, 0.2, 0.3)) != made_of((0.1, 0.2, 0.4))
     spectrum.rename(tmp_path / "moved.txt")
-    with pytest.raises(UsageError, match="expected a reflectance file"):
+    with pytest.raises(MissingFileError, match="no such file"):
         Input("x", PlaceSource(model, "0,0", colour=ColourChoice(reflectance=spectrum))).made_of()
 
 

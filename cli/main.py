@@ -17,7 +17,7 @@ from typing import Any
 import typer
 
 from manifold import __version__
-from manifold.core.errors import ManifoldError, UsageError, in_words
+from manifold.core.errors import ManifoldError, UsageError, extension_of, in_words
 from manifold.core.extras import missing
 from manifold.core.names import printable
 from manifold.core.progress import display_with
@@ -100,15 +100,15 @@ def run(arguments: list[str] | None = None) -> None:
         group = application.app.only(command)
         status = group(args=arguments or ["--help"], prog_name="manifold", standalone_mode=False)
         sys.stdout.flush()
-    except (BrokenPipeError, SystemExit):  # which Click makes of it
-        # What reads the output has ended, as `head` does; nothing is printed about it at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        status = _EXIT_PIPE
     except KeyboardInterrupt:
         status = _EXIT_INTERRUPTED
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         if _is_interruption(error):
             status = _EXIT_INTERRUPTED
+        elif isinstance(error, BrokenPipeError | SystemExit) and extension_of(error) is None:  # Click's exit
+            # What reads the output has ended, as `head` does; nothing is printed about it at exit.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            status = _EXIT_PIPE
         else:
             if debug:
                 traceback.print_exc()
@@ -134,7 +134,7 @@ def _is_interruption(error: BaseException | None) -> bool:
     return error is not None
 
 
-def _message(error: Exception, arguments: Sequence[str]) -> str:
+def _message(error: BaseException, arguments: Sequence[str]) -> str:
     if isinstance(error, _Mistyped):
         command = getattr(error.ctx, "command_path", "manifold")
         found = error.format_message().replace("Value error, ", "").rstrip(".")  # words of Typer's

@@ -58,7 +58,9 @@ def identify(path: Path | str) -> Format | None:
             package = FORMATS.packages.get(name, "")
             try:
                 is_of_it = known.sniff(head)
-            except Exception as error:
+                if not isinstance(is_of_it, bool | np.bool_):
+                    raise TypeError(f"sniff returned {type(is_of_it).__name__}, expected bool")
+            except (Exception, SystemExit) as error:
                 if not package:
                     raise
                 FORMATS.leave_out(name, error)
@@ -128,9 +130,9 @@ def _read_by(known: Format, path: Path) -> list[Record]:
         return list(known.read(path))
     try:
         records = list(known.read(path))
-    except (ManifoldError, OSError):
+    except ManifoldError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise FileFormatError(
             f"{printable(path.name, 255)}: the reader of {known.name} in the package {known.package} failed "
             f"({type(error).__name__}: {error})"

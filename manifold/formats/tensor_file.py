@@ -134,7 +134,9 @@ def _read_header(buffer: mmap.mmap | bytes, size: int, context: ErrorContext) ->
             raise context.error(f"starts at byte {start}, inside '{before[:64]}'", field=name)
     unused = size - position - sum(end - start for start, end, _ in spans)
     if unused > _MOST_PADDING * (count + 1):
-        raise context.error(f"has {unused} bytes that belong to no field, expected only padding between fields")
+        raise context.error(
+            f"has {unused} bytes that belong to no field, expected only padding between fields"
+        )
     return list(fields.values())
 
 

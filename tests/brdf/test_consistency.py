@@ -67,7 +67,9 @@ def test_a_projected_area_that_does_not_follow_from_the_normals_is_named(is_isot
     file = measured("syn_felt_green") if is_isotropic else anisotropic()
     doubled = check_consistency(replace(file, sigma=2.0 * file.sigma)).findings
     # an anisotropic file is 2 % off before
-    assert re.fullmatch(r"the field 'sigma' is 2(\.0\d)? times the projected area that 'ndf' implies", doubled[0])
+    assert re.fullmatch(
+        r"the field 'sigma' is 2(\.0\d)? times the projected area that 'ndf' implies", doubled[0]
+    )
     halved = file.sigma.copy()
     halved[:, 100:] *= 0.5
     found = check_consistency(replace(file, sigma=halved)).findings

@@ -87,7 +87,10 @@ def test_mitsuba_renders_compressed_files(packed, folder, run):
     ("harm", "words"),
     [
         (lambda content: content[:-4] + (2**31 + 1).to_bytes(4, "little"), "expected at most"),
-        (lambda content: content[:-4] + (100).to_bytes(4, "little"), "has a header cut off|ends beyond|cannot be decompressed"),
+        (
+            lambda content: content[:-4] + (100).to_bytes(4, "little"),
+            "has a header cut off|ends beyond|cannot be decompressed",
+        ),
         (lambda content: content[: len(content) // 2], "that it announces|expected|ends beyond"),
         (lambda content: content + content, "that it announces"),
         (
@@ -127,7 +130,6 @@ def _refused_with_peak(path, words):
         return tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-
 
 
 def test_what_a_path_is(folder, packed, tmp_path):

@@ -13,7 +13,7 @@ from manifold.brdf.physical import RECIPROCITY_ERROR
 from manifold.brdf.plausibility import Plausibility, albedo_at, plausibility
 from manifold.core.judged_lights import BALL
 from manifold.core.metrics import EXPECTED_BALL, Errors
-from manifold.core.names import percent
+from manifold.core.names import exceeds, percent
 from manifold.core.records import Array
 from manifold.core.results import Result, derived, entry
 from manifold.model.blending import widest_gap
@@ -369,7 +369,7 @@ def of_projection(before: Plausibility, found: Plausibility, change: Errors[floa
         f"{100.0 * before.reciprocity_error:.0f} to {100.0 * found.reciprocity_error:.0f} %; changed by "
         f"{change.ball:.1f} {BALL}, {100.0 * change.cube_root:.0f} % in cube roots",
     )
-    if found.reciprocity_error <= RECIPROCITY_ERROR:
+    if not exceeds(100.0 * found.reciprocity_error, 100.0 * RECIPROCITY_ERROR, 0):
         return changed
     return (
         *changed,

@@ -112,7 +112,7 @@ def run(arguments: list[str] | None = None) -> None:
         else:
             if debug:
                 traceback.print_exc()
-            print(f"manifold: {_one_line(_message(error, arguments))}", file=sys.stderr)
+            print(f"manifold: {_one_line(_message(error, command, arguments))}", file=sys.stderr)
             is_usage = isinstance(error, UsageError | _Mistyped) and not isinstance(error, OSError)
             status = _EXIT_USAGE if is_usage else _EXIT_ERROR
     if status == _EXIT_INTERRUPTED:
@@ -134,9 +134,10 @@ def _is_interruption(error: BaseException | None) -> bool:
     return error is not None
 
 
-def _message(error: BaseException, arguments: Sequence[str]) -> str:
+def _message(error: BaseException, name: str | None, arguments: Sequence[str]) -> str:
     if isinstance(error, _Mistyped):
-        command = getattr(error.ctx, "command_path", "manifold")
+        called = f"manifold {name}" if name in application.COMMANDS else "manifold"
+        command = getattr(error.ctx, "command_path", called)  # an option without its value has no context
         found = error.format_message().replace("Value error, ", "").rstrip(".")  # words of Typer's
         found = re.sub(r"\. Did you mean (.*\?)$", r" (did you mean \1)", found)
         found = _OPTIONS.sub(_like_options, found)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -16,9 +15,8 @@ from manifold.brdf.goniometer import WARP_NODES, node_normals, visible_normals
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import cells_of
 from manifold.brdf.warp import interpolate
-from manifold.colour.colour_science import frozen
-from manifold.colour.conversion import sensor_responses, xyz_to_srgb, xyz_weights
-from manifold.colour.illuminants import Illuminant
+from manifold.colour.conversion import xyz_weights
+from manifold.colour.reflectances import BEYOND_COLOURS, beyond_reflectances
 from manifold.core.compiled import loops
 from manifold.core.directions import HORIZON, from_spherical, u_to_phi, u_to_theta
 from manifold.core.names import counted, first_few, percent
@@ -28,7 +26,6 @@ from manifold.core.records import Array, BsdfFile, Indices, Mask, evenly_spaced
 _STEEPEST_DEG = 75.0  # nearer to the horizon, files hold little that was measured
 _MOST_ALBEDO = 1.2  # 1, and room for calibration and fluorescence (1.02)
 _MOST_ALBEDO_GRAZING = 1.5  # ... and for extrapolation (1.00)
-_BEYOND_COLOURS = 0.15  # of the norm of a colour, beyond the colours of all reflectances (-0.01)
 _MOST_NEGATIVE = 0.005  # share of the values of a spectral band (0)
 _MOST_DEPARTURE = 10.0  # of a value from the range of its neighbours, in widths of that range (6.6)
 _MOST_STEP = 1.5  # factor between an albedo and both albedos beside it (1.08)
@@ -46,7 +43,6 @@ _DARK = 0.01  # albedo, or stored value relative to the median
 _BROAD_NM = 10.0  # bands this far apart may differ by any factor
 _MOST_BANDS = 8  # in which reciprocity is measured
 _MOST_SLICES = 4  # that a sentence names
-_NORMALS = 1000  # of the solid of colours
 
 
 class Cell(NamedTuple):
@@ -376,32 +372,16 @@ def _of_albedo(file: BsdfFile, albedo: Array) -> list[str]:
 
 def _of_colours(file: BsdfFile, albedo: Array) -> list[str]:
     """Return a sentence if an albedo in RGB is a colour that no reflectance from 0 to 1 has."""
-    normals, extent = _solid_of_reflectances()
-    norm = np.linalg.norm(albedo, axis=2)
-    beyond = np.max(albedo @ normals.T - extent, axis=2)
-    is_off = (beyond > _BEYOND_COLOURS * norm) & (norm > _DARK)
+    beyond = beyond_reflectances(albedo)
+    is_off = (beyond > BEYOND_COLOURS) & (np.linalg.norm(albedo, axis=2) > _DARK)
     if not np.any(is_off):
         return []
-    worst = np.unravel_index(
-        int(np.argmax(np.where(is_off, beyond / np.maximum(norm, _DARK), 0.0))), norm.shape
-    )
+    worst = np.unravel_index(int(np.argmax(np.where(is_off, beyond, 0.0))), beyond.shape)
     colour = ", ".join(
         f"{label} {value:.3g}" for label, value in zip(file.bands.labels, albedo[worst], strict=True)
     )
     where = _in_words(file, np.argwhere(is_off))
     return [f"colours that no reflectance can have, such as an albedo of {colour}, {where}"]
-
-
-@lru_cache(maxsize=1)
-def _solid_of_reflectances() -> tuple[Array, Array]:
-    """Return normals (K, 3) of the solid of all reflectances from 0 to 1 under D65 in linear sRGB, and its extents.
-
-    Source: Schroedinger 1920; the extent is reached by a reflectance of 1 where the normal's response is positive.
-    """
-    _, responses = sensor_responses(Illuminant.named("D65"), 2)
-    k = np.arange(_NORMALS) + 0.5  # a Fibonacci lattice
-    normals = from_spherical(np.arccos(1.0 - 2.0 * k / _NORMALS), np.pi * (1.0 + 5.0**0.5) * k)
-    return frozen(normals), frozen(np.maximum(normals @ xyz_to_srgb(responses).T, 0.0).sum(axis=1))
 
 
 def _of_bands(file: BsdfFile, albedo: Array, negative_share: Array) -> list[str]:

@@ -12,7 +12,7 @@ import pytest
 from helpers.small_library import NAMES, measured, small_model
 
 from manifold.core.errors import FileFormatError
-from manifold.formats import recognition, tensor_file
+from manifold.formats import recognition
 from manifold.formats.recognition import Kind, kind_of
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.model.model_file import read_model

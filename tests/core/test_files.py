@@ -131,5 +131,5 @@ def test_a_pipe_is_refused_and_not_waited_for(tmp_path: Path) -> None:
     pipe = tmp_path / "x"
     os.mkfifo(pipe)
     for read in (file_sha256, read_bsdf, read_picture, identify, Library):
-        with pytest.raises(ManifoldError, match="not a regular file|a file, expected a library"):
+        with pytest.raises(ManifoldError, match=r"not a regular file|a file, expected a library"):
             read(pipe)

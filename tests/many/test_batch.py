@@ -19,7 +19,7 @@ from manifold.estimate.inputs import Input, find_inputs, find_samples
 from manifold.estimate.instruments import calibrate
 from manifold.estimate.sources import FileSource, PlaceSource
 from manifold.library import staging
-from manifold.many.batch import BatchCommand, SheetWarning, _Made, ball_path, batch
+from manifold.many.batch import BatchCommand, SheetWarning, _Made, ball_path, batch, cell
 from manifold.model.colours import ColourChoice
 from manifold.pictures import figures
 
@@ -214,6 +214,12 @@ def test_what_a_file_is_made_of_has_the_content_of_the_reflectance_and_not_its_p
     spectrum.rename(tmp_path / "moved.txt")
     with pytest.raises(MissingFileError, match="no such file"):
         Input("x", PlaceSource(model, "0,0", colour=ColourChoice(reflectance=spectrum))).made_of()
+
+
+def test_cells_of_tables_have_no_exponents_for_small_errors():
+    assert [cell(value) for value in (2.51e-06, -2e-9, 0.0, 0.00214, 1.234, 12.34, None, "a")] == [
+        "0.000", "-0.000", "0", "0.00214", "1.23", "12.3", "", "a"
+    ]  # fmt: skip
 
 
 def test_every_file_of_a_folder_is_a_material(tmp_path, rng):

@@ -288,6 +288,7 @@ OPTIMIZERS: Registry[Any] = Registry(
     "optimizer",
     places={"dls": "manifold.gplvm:minimise_by_dls", "l-bfgs": "manifold.gplvm:minimise_by_lbfgs"},
     group="brdf_manifold.methods",
+    attributes=("__call__",),
 )
 """Optimisers of the latents for `manifold embed`, each a function of a `gplvm.Run` and the starting latents."""
 
@@ -317,7 +318,13 @@ KERNELS: Registry[Any] = Registry(
         "matern52": "manifold.gp.kernels:Matern52",
     },
     group="brdf_manifold.kernels",
-    attributes=("family", "steepest", "radial"),
+    attributes=(
+        "family",
+        "steepest",
+        "radial",
+        "training",
+        "gradient",
+    ),  # the last two are inherited from `Kernel`
 )
 """Classes of covariance functions, each a `manifold.gp.kernels.Kernel`."""
 

@@ -298,3 +298,19 @@ def test_an_entry_named_as_a_built_in_one_is_left_out(work, tmp_path):
     assert (
         "the format 'MERL' of the package other-merl is left out (another entry has this name)" in done.stderr
     )
+
+
+@pytest.mark.parametrize(
+    ("group", "code", "words"),
+    [
+        ("kernels", "class ENTRY: family, steepest, radial = 'k', 1.0, 0", "has no training, gradient"),
+        ("methods", "ENTRY = 5", "has no __call__"),
+    ],
+)
+def test_an_entry_that_cannot_be_used_is_left_out(work, tmp_path, group, code, words):
+    install(tmp_path, "broken-entries", "broken", code, (group, "broken", "broken:ENTRY"))
+    option = {"kernels": "--kernel", "methods": "--optimizer"}[group]
+    done = run(work, tmp_path, "embed", "--kind", "gplvm", option, "broken", "-M", "never.h5")
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert "internal error" not in done.stderr

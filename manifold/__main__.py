@@ -18,9 +18,8 @@ def run(arguments: list[str] | None = None) -> None:
     gc.set_threshold(100_000)
     try:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
-        if (
-            find_spec("manifold.cli") is None
-        ):  # a checkout that is not installed, where it lies beside this package
+        # In a checkout that is not installed, the command line lies beside this package.
+        if find_spec("manifold.cli") is None:
             manifold.__path__.append(str(Path(__file__).parents[1]))
         from manifold.cli import main
 

@@ -289,13 +289,9 @@ class Adjusted:
             )
             difference = f"CIEDE2000 {self.difference:.1f} ({DAYLIGHT}, 45/0)"
             wanted = from_lch(np.array([self.asked[each.key] for each in COLOUR]))
-            is_possible = not is_beyond_reflectances(wanted, 0.0)
-            why = (
-                ""
-                if is_possible
-                else "; no reflectance has the requested colour, this is the nearest in CIELAB"
-            )
-            shortfalls.append(f"colour: {reached} reached, {asked} requested, {difference}{why}")
+            if is_beyond_reflectances(wanted, 0.0):
+                difference += "; no reflectance has the requested colour, this is the nearest in CIELAB"
+            shortfalls.append(f"colour: {reached} reached, {asked} requested, {difference}")
         return tuple(shortfalls)
 
     def warn(self) -> None:

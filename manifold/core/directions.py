@@ -48,18 +48,29 @@ def half_vector(wi: Array, wo: Array) -> Array:
     return normalize(wi + wo)
 
 
+def require_real(values: Array, name: str) -> Array:
+    """Return values as an array of real numbers, in their own precision; None counts as NaN.
+
+    Raises:
+        ShapeError: the rows have different lengths, or the values are complex numbers or texts.
+    """
+    try:
+        array = np.asarray(values)
+        array = array.astype(np.float64) if array.dtype == object else array
+    except (TypeError, ValueError) as error:
+        raise ShapeError(f"{name}: rows of different lengths, or no numbers; expected one array") from error
+    if array.dtype.kind not in "fiu":
+        raise ShapeError(f"{name}: values of type {array.dtype}, expected real numbers")
+    return array
+
+
 def require_vectors(w: Array, name: str, width: int = 3) -> Array:
     """Return vectors as an array (..., width) of real numbers, in their own precision.
 
     Raises:
-        ShapeError: the rows have different lengths, the values are no real numbers, or the last axis has another size.
+        ShapeError: as `require_real`, or the last axis has another size.
     """
-    try:
-        w = np.asarray(w)
-    except ValueError as error:
-        raise ShapeError(f"{name} has rows of different lengths, expected (..., {width})") from error
-    if w.dtype.kind not in "fiu":
-        raise ShapeError(f"{name} has values of type {w.dtype}, expected real numbers")
+    w = require_real(w, name)
     if w.ndim == 0 or w.shape[-1] != width:
         raise ShapeError(f"{name} has shape {w.shape}, expected (..., {width})")
     return w

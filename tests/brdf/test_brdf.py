@@ -340,10 +340,10 @@ def test_what_values_do_not_fit_into_is_refused(corpus_file, out):
         (np.array([0.0, 0.0, np.nan]), "finite"),
         (np.array([0.0, 0.0, 2.0]), "length 2"),
         (np.zeros(3), "length 0"),
-        ([[0.0, 0.0, 1.0], [0.0, 1.0]], "wi has rows of different lengths"),
-        (np.array([0.0, 0.0, 1.0j]), "wi has values of type complex128, expected real numbers"),
-        (["x", "y", "z"], "wi has values of type <U1"),
-        (None, "wi has values of type object"),
+        ([[0.0, 0.0, 1.0], [0.0, 1.0]], "wi: rows of different lengths"),
+        (np.array([0.0, 0.0, 1.0j]), "wi: values of type complex128, expected real numbers"),
+        (["x", "y", "z"], "wi: values of type <U1"),
+        (None, "shape"),
     ],
 )
 def test_what_is_no_direction_is_refused(corpus_file, wi, words):

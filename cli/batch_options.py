@@ -148,7 +148,8 @@ def inputs_of(
 
 def require_folder(output: Path | None, outputs: str, suffix: str = ".bsdf") -> None:
     """Raise UsageError if an output that must be a folder is named like a file, with this or any other suffix."""
-    if output is not None and output.suffix.lower() in (*_FILES, suffix) and not output.is_dir():
+    suffixes = (*_FILES, f".{suffix.rpartition('.')[2]}")
+    if output is not None and output.suffix.lower() in suffixes and not output.is_dir():
         raise UsageError(f"{output}: named like a file, expected a folder for {outputs}")
 
 

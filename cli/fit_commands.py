@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from manifold.core import progress
-from manifold.core.errors import FileFormatError, UsageError
-from manifold.registries import EXPORT_SUFFIXES, FIT_SUFFIX
+from manifold.core.errors import FileFormatError, UnknownNameError, UsageError
+from manifold.registries import FIT_SUFFIX
 
 from . import options, terminal
 from .application import app
 from .batch_options import PER_CORE, WorkerOptions, inputs_of, make_many, require_folder
-from .outputs import or_default, written
+from .outputs import checked, or_default, written
 
 if TYPE_CHECKING:
     from manifold.estimate.sources import MaterialSource
@@ -181,7 +181,8 @@ def export(
         Path | None,
         options.output_option(
             "The file: {manifold.registries.EXPORTS_IN_WORDS}; for many materials, a folder. "
-            f"[default: the material's name, {EXPORT_SUFFIXES[_TARGET]} or _TARGET.json; or exports, or shaders]"
+            "[default: the material's name and the suffix, with _TARGET between them for JSON and for targets that the "
+            "suffix does not select; or exports, or shaders]"
         ),
     ] = None,
     target: Annotated[
@@ -201,7 +202,8 @@ def export(
         bool,
         typer.Option(
             "--picture",
-            help="Also draw the material beside the target's model, into NAME.png; for several targets, all models.",
+            help="Also draw the material beside the target's model, into NAME_TARGET.png; for several targets, all "
+            "models, into NAME_exports.png.",
         ),
     ] = False,
     tolerance: Annotated[
@@ -258,6 +260,7 @@ def export(
         )
     from manifold.estimate.inputs import is_many
     from manifold.fit import exporting  # which imports Matplotlib; a shader does without
+    from manifold.fit.exports.targets import target_of
     from manifold.io_rgl import material_name
     from manifold.registries import TARGETS
 
@@ -266,7 +269,10 @@ def export(
         raise UsageError(
             f"--target {target}: a shader goes with no other target; export it by its own command"
         )
-    targets = [TARGETS[name] for name in names]
+    try:
+        targets = [TARGETS[name] for name in names]
+    except UnknownNameError as error:
+        raise UnknownNameError(f"{error}, shader") from None
     if len(targets) > 1 and pack is not None:
         raise UsageError(f"--pack goes with one target, found {target}")
     if is_many(materials):
@@ -285,16 +291,15 @@ def export(
         folder = or_default(output, ".")
         require_folder(folder, "the files of several targets; name a folder", targets[0].suffix)
         with progress.shown("Exporting"):
-            drawn = folder / f"{name}.png" if picture else None
+            drawn = checked(folder / f"{name}_{exporting.SHEET}.png", "picture") if picture else None
             outcomes = exporting.export_many(material, targets, folder, name, against=against, picture=drawn)
         _show_exports(results, outcomes, drawn)
         return
-    named_target = f"_{targets[0].name}" * (targets[0].suffix == ".json")  # other commands write NAME.json
-    path = or_default(output, f"{name}{named_target}{targets[0].suffix}")
-    drawn = path.with_suffix(".png") if picture else None
+    named = targets[0] if target or output is None else target_of(None, output)
+    path = or_default(output, f"{name}{named.file_suffix}")
+    drawn = checked(exporting.picture_of(path, named), "picture") if picture else None
     with progress.shown("Exporting"):
-        named = targets[0].name if target else None
-        outcome = exporting.export(material, named, path, against=against, picture=drawn)
+        outcome = exporting.export(material, named.name, path, against=against, picture=drawn)
     _show_exports(results, [outcome], drawn)
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import typer
 
 from manifold import __version__
-from manifold.core.errors import ManifoldError, UsageError, in_words
+from manifold.core.errors import ManifoldError, UsageError, extension_of, in_words
 from manifold.core.extras import missing
 from manifold.core.names import printable
 from manifold.core.progress import display_with
@@ -100,19 +100,19 @@ def run(arguments: list[str] | None = None) -> None:
         group = application.app.only(command)
         status = group(args=arguments or ["--help"], prog_name="manifold", standalone_mode=False)
         sys.stdout.flush()
-    except (BrokenPipeError, SystemExit):  # which Click makes of it
-        # What reads the output has ended, as `head` does; nothing is printed about it at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        status = _EXIT_PIPE
     except KeyboardInterrupt:
         status = _EXIT_INTERRUPTED
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         if _is_interruption(error):
             status = _EXIT_INTERRUPTED
+        elif isinstance(error, BrokenPipeError | SystemExit) and extension_of(error) is None:  # Click's exit
+            # What reads the output has ended, as `head` does; nothing is printed about it at exit.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            status = _EXIT_PIPE
         else:
             if debug:
                 traceback.print_exc()
-            print(f"manifold: {_one_line(_message(error, arguments))}", file=sys.stderr)
+            print(f"manifold: {_one_line(_message(error, command, arguments))}", file=sys.stderr)
             is_usage = isinstance(error, UsageError | _Mistyped) and not isinstance(error, OSError)
             status = _EXIT_USAGE if is_usage else _EXIT_ERROR
     if status == _EXIT_INTERRUPTED:
@@ -134,9 +134,10 @@ def _is_interruption(error: BaseException | None) -> bool:
     return error is not None
 
 
-def _message(error: Exception, arguments: Sequence[str]) -> str:
+def _message(error: BaseException, name: str | None, arguments: Sequence[str]) -> str:
     if isinstance(error, _Mistyped):
-        command = getattr(error.ctx, "command_path", "manifold")
+        called = f"manifold {name}" if name in application.COMMANDS else "manifold"
+        command = getattr(error.ctx, "command_path", called)  # an option without its value has no context
         found = error.format_message().replace("Value error, ", "").rstrip(".")  # words of Typer's
         found = re.sub(r"\. Did you mean (.*\?)$", r" (did you mean \1)", found)
         found = _OPTIONS.sub(_like_options, found)

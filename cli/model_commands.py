@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from manifold.core import progress
-from manifold.core.errors import ManifoldError, UsageError
+from manifold.core.errors import FileFormatError, ManifoldError, UsageError
 from manifold.core.names import percent
 
 from . import options, terminal
@@ -374,16 +374,22 @@ def predict(
         )
     latent = latent if place is None else place.strip()
     if points is not None:
-        if latent is not None or colour != options.OWN_COLOUR or attributes is not None:
+        if latent is not None or colour != options.OWN_COLOUR:
+            raise UsageError("found --from and a latent or colour; write these into columns of the table")
+        if attributes is not None:
             raise UsageError(
-                "found --from and a latent, colour or gloss; write these into columns of the table"
+                "found --from and --gloss, --lightness, --chroma or --hue, which go with one point; leave them out, "
+                "or predict each point by its own command"
             )
         from manifold.estimate.inputs import read_points
         from manifold.many import commands as many
 
         rows, failed = read_points(points, model, library)
         command = many.predictions_of(model, library=library, options=written)
-        make_many(results, command, rows, output, workers.executor(), failed=failed)
+        try:
+            make_many(results, command, rows, output, workers.executor(), failed=failed)
+        except FileFormatError as error:
+            raise FileFormatError(f"{points}: {error}") from error
         return
     if latent is None:
         raise UsageError(

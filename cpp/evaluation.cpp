@@ -457,12 +457,12 @@ bool sample_directions(Arrays wi, Arrays uniforms, bool isotropic, int repeats, 
             Directions to;
             for (int k = 0; k < TILE; ++k) {
                 const double twice = 2.0 * m.cos_im[k];
-                const bool is_hit = (from.z[k] > 0.0) & (m.cos_im[k] > 0.0);
+                const bool is_hit = (from.z[k] > LEVEL) & (m.cos_im[k] > 0.0);
                 to.x[k] = is_hit ? i.sx[k] * (twice * m.x[k] - i.w.x[k]) : 0.0;
                 to.y[k] = is_hit ? i.sy[k] * (twice * m.y[k] - i.w.y[k]) : 0.0;
                 to.z[k] = is_hit ? twice * m.z[k] - i.w.z[k] : 1.0;
                 const double density = of_normal[k] * of_luminance[k] / half_vector_jacobian(u[k], m.sine[k], m.cos_im[k]);
-                of_normal[k] = is_hit & (to.z[k] > 0.0) ? density : 0.0;
+                of_normal[k] = is_hit & (to.z[k] > LEVEL) ? density : 0.0;
             }
             for (int k = 0; k < n; ++k) {
                 const ptrdiff_t at = 3 * (start + k);
@@ -492,7 +492,7 @@ void integrate(Arrays wi, bool isotropic, int repeats, const Tables &tables, Cub
             from.load(rows, 0, TILE);
             rows.data = rows.is_single ? static_cast<const void *>(static_cast<const float *>(rows.data) + step)
                                        : static_cast<const void *>(static_cast<const double *>(rows.data) + step);
-            if (!(from.z[0] > 0.0)) continue;
+            if (!(from.z[0] > LEVEL)) continue;
             const Incident i(from, symmetry, true);
             with_slices(tables.warp.phi, [&](auto slices) INLINE_LAMBDA {
                 Slices<slices> around;
@@ -509,7 +509,7 @@ void integrate(Arrays wi, bool isotropic, int repeats, const Tables &tables, Cub
                         corners.weigh(tables, around, u, v, scale);
                         for (int j = 0; j < points; ++j) {
                             const double cos_o = 2.0 * m.cos_im[j] * m.z[j] - i.w.z[j];
-                            if (!(m.cos_im[j] > 0.0 && cos_o > 0.0 && pdf[j] > 0.0)) continue;
+                            if (!(m.cos_im[j] > 0.0 && cos_o > LEVEL && pdf[j] > 0.0)) continue;
                             if (bands <= FEW)
                                 corners.read_few(ptrdiff_t(tables.columns) * FEW, j, row);
                             else

@@ -3,6 +3,10 @@
 import gc
 import signal
 import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import manifold
 
 
 def run(arguments: list[str] | None = None) -> None:
@@ -14,6 +18,9 @@ def run(arguments: list[str] | None = None) -> None:
     gc.set_threshold(100_000)
     try:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
+        # In a checkout that is not installed, the command line lies beside this package.
+        if find_spec("manifold.cli") is None:
+            manifold.__path__.append(str(Path(__file__).parents[1]))
         from manifold.cli import main
 
         main.run(arguments)

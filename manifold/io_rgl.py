@@ -55,8 +55,9 @@ def read_bsdf(source: Path | str | bytes | BinaryIO) -> BsdfFile:
 
     Raises:
         UsageError: `source` has another type.
-        FileFormatError: the file is missing, has another format, is damaged, or lacks a required field;
-            the message names the file and the field.
+        MissingFileError, FileAccessError: the file is missing, or cannot be read.
+        FileFormatError: the file has another format, is damaged, or lacks a required field; the message names the
+            file and the field.
     """
     path, content = _path_and_content(source)
     if content is None and os.path.isfile(path) and not is_tensor_file(path):

@@ -14,7 +14,7 @@ from importlib import import_module
 from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar
 
-from manifold.core.errors import UnknownNameError
+from manifold.core.errors import EXTENSIONS, UnknownNameError
 from manifold.core.names import names_like, printable
 
 T = TypeVar("T")
@@ -69,6 +69,7 @@ class Registry(MutableMapping[str, T]):
                     self._warn(name, package, "another entry has this name")
                 else:
                     self._entries[name], packages[name] = _Place(where), package
+                    EXTENSIONS[where.partition(":")[0].partition(".")[0]] = package
             self._packages = packages
         return self._packages
 
@@ -135,8 +136,8 @@ class Registry(MutableMapping[str, T]):
             return
         try:
             entry = place.load()
-            for attribute in self._attributes:
-                getattr(entry, attribute)
+            if missing := [name for name in self._attributes if not hasattr(entry, name)]:
+                raise AttributeError(f"{place.where} has no {', '.join(missing)}")
         except (Exception, SystemExit) as error:  # whatever another package does when it is imported
             self.leave_out(name, error)
         else:
@@ -238,7 +239,28 @@ TARGETS: Registry[Any] = Registry(
         "unity": _EXPORTS + "unity:UNITY",
     },
     group="brdf_manifold.targets",
-    attributes=("name", "suffix", "title", "entries", "parameters", "brdf", "content"),
+    attributes=(
+        "name",
+        "suffix",
+        "title",
+        "entries",
+        "parameters",
+        "brdf",
+        "content",
+        "base_colour",
+        "coat",
+        "sheen",
+        "film",
+        "curve",
+        "hued",
+        "textures",
+        "beside",
+        "implementations",
+        "colour_space",
+        "caveat",
+        "brdfs",
+        "defaults",
+    ),
 )
 """Targets of `manifold export`, each a `manifold.fit.exports.targets.Target`."""
 
@@ -266,6 +288,7 @@ OPTIMIZERS: Registry[Any] = Registry(
     "optimizer",
     places={"dls": "manifold.gplvm:minimise_by_dls", "l-bfgs": "manifold.gplvm:minimise_by_lbfgs"},
     group="brdf_manifold.methods",
+    attributes=("__call__",),
 )
 """Optimisers of the latents for `manifold embed`, each a function of a `gplvm.Run` and the starting latents."""
 
@@ -295,7 +318,13 @@ KERNELS: Registry[Any] = Registry(
         "matern52": "manifold.gp.kernels:Matern52",
     },
     group="brdf_manifold.kernels",
-    attributes=("family", "steepest", "radial"),
+    attributes=(
+        "family",
+        "steepest",
+        "radial",
+        "training",
+        "gradient",
+    ),  # the last two are inherited from `Kernel`
 )
 """Classes of covariance functions, each a `manifold.gp.kernels.Kernel`."""
 

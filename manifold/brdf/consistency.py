@@ -1,24 +1,24 @@
 """Checks the values of an RGL file against each other, against other fields, and against physical limits.
 
-Six comparisons find values that were scaled, swapped or damaged; docs/explanation/rgl-files.md describes them.
+Seven comparisons find values that were scaled, swapped or damaged; docs/explanation/rgl-files.md describes them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from manifold.brdf.goniometer import node_normals, visible_normals
+from manifold.brdf.goniometer import WARP_NODES, node_normals, visible_normals
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import cells_of
-from manifold.colour.colour_science import frozen
-from manifold.colour.conversion import sensor_responses, xyz_to_srgb, xyz_weights
-from manifold.colour.illuminants import Illuminant
-from manifold.core.directions import HORIZON, from_spherical
+from manifold.brdf.warp import interpolate
+from manifold.colour.conversion import xyz_weights
+from manifold.colour.reflectances import BEYOND_COLOURS, beyond_reflectances
+from manifold.core.compiled import loops
+from manifold.core.directions import HORIZON, from_spherical, u_to_phi, u_to_theta
 from manifold.core.names import counted, first_few, percent
 from manifold.core.records import Array, BsdfFile, Indices, Mask, evenly_spaced
 
@@ -26,7 +26,6 @@ from manifold.core.records import Array, BsdfFile, Indices, Mask, evenly_spaced
 _STEEPEST_DEG = 75.0  # nearer to the horizon, files hold little that was measured
 _MOST_ALBEDO = 1.2  # 1, and room for calibration and fluorescence (1.02)
 _MOST_ALBEDO_GRAZING = 1.5  # ... and for extrapolation (1.00)
-_BEYOND_COLOURS = 0.15  # of the norm of a colour, beyond the colours of all reflectances (-0.01)
 _MOST_NEGATIVE = 0.005  # share of the values of a spectral band (0)
 _MOST_DEPARTURE = 10.0  # of a value from the range of its neighbours, in widths of that range (6.6)
 _MOST_STEP = 1.5  # factor between an albedo and both albedos beside it (1.08)
@@ -36,12 +35,14 @@ _SPECTRAL_LUMINANCE_TOLERANCE = 0.1  # relative: the weights that the database s
 _MOST_WARP_DIFFERENCE = (
     0.03  # total variation from the visible normals (0.005; files written here: 0.08 and more)
 )
+_MOST_AREA_RATIO = 1.25  # of `sigma` to the projected area of `ndf` (1.03; narrow anisotropic files: 1.12)
+_QUADRATURE = 4  # elevations of normals per node of `ndf`
+_MOST_NODES = 1024  # per axis of `ndf` that the quadrature follows; the database has 128
 _LEAST_EXPLAINED = 0.9  # least share of the cells of several slices that one change explains
 _DARK = 0.01  # albedo, or stored value relative to the median
 _BROAD_NM = 10.0  # bands this far apart may differ by any factor
 _MOST_BANDS = 8  # in which reciprocity is measured
 _MOST_SLICES = 4  # that a sentence names
-_NORMALS = 1000  # of the solid of colours
 
 
 class Cell(NamedTuple):
@@ -97,6 +98,7 @@ def check_consistency(file: BsdfFile, *, has_exact_luminance: bool = True) -> Co
     # What is said of whole slices does not follow from what is said of their cells.
     rest = _measure(mended, filled) if cells else (albedo, reciprocity)
     findings = (
+        *_of_normals(file),
         *luminance.findings,
         *_of_cells(file, cells),
         *_of_albedo(file, rest[0]),
@@ -306,6 +308,43 @@ def _neighbour_range(values: Array, filled: Mask) -> tuple[Array, Array]:
     return low, high
 
 
+def _of_normals(file: BsdfFile) -> list[str]:
+    """Return a sentence if `ndf` is zero everywhere, or if `sigma` is not the projected area of its normals."""
+    if not file.jacobian:
+        return []
+    if not np.any(file.ndf):
+        return ["the field 'ndf' is zero everywhere, and so is the BRDF"]
+    x = np.linspace(0.0, 1.0, min(file.sigma.shape[1], WARP_NODES))
+    y = np.array([0.0]) if file.is_isotropic else np.linspace(0.0, 1.0, 17)
+    at = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    area = _projected_area(file.ndf, from_spherical(u_to_theta(at[:, 0]), u_to_phi(at[:, 1])))
+    with np.errstate(divide="ignore"):
+        ratio = interpolate(file.sigma, at) / area
+    worst = ratio[np.argmax(np.abs(np.log(ratio)))]
+    if 1.0 / _MOST_AREA_RATIO <= worst <= _MOST_AREA_RATIO:
+        return []
+    where = "" if np.ptp(ratio) < 0.1 * worst else "up to " if worst > 1.0 else "down to "
+    return [f"the field 'sigma' is {where}{worst:.3g} times the projected area that 'ndf' implies"]
+
+
+def _projected_area(ndf: Array, w: Array) -> Array:
+    """Return the projected area (K,) of the normals of a distribution (R, C) as seen from w (K, 3).
+
+    Source: Dupuy & Jakob 2018, section 4; the midpoint rule on the unit square.
+    """
+    rows, columns = (min(count, _MOST_NODES) for count in ndf.shape)
+    columns, rows = _QUADRATURE * (columns - 1), max(2 * rows, 64)
+    x, y = (np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows
+    theta = u_to_theta(x)
+    m = from_spherical(theta, u_to_phi(y)[:, None]).reshape(-1, 3)
+    # d omega = sin(theta) d theta d phi, d theta = pi x dx and d phi = 2 pi dy
+    measure = 2.0 * np.pi**2 * x * np.sin(theta) / (rows * columns)
+    D = interpolate(ndf, np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)).reshape(rows, columns)
+    area = np.empty(len(w))
+    loops.project_facets(w, np.ascontiguousarray(m.T), (D * measure).reshape(-1), area)
+    return area
+
+
 def _of_cells(file: BsdfFile, cells: Sequence[Cell]) -> list[str]:
     """Return a sentence on values that disagree, with the farthest of them."""
     if not cells:
@@ -333,32 +372,16 @@ def _of_albedo(file: BsdfFile, albedo: Array) -> list[str]:
 
 def _of_colours(file: BsdfFile, albedo: Array) -> list[str]:
     """Return a sentence if an albedo in RGB is a colour that no reflectance from 0 to 1 has."""
-    normals, extent = _solid_of_reflectances()
-    norm = np.linalg.norm(albedo, axis=2)
-    beyond = np.max(albedo @ normals.T - extent, axis=2)
-    is_off = (beyond > _BEYOND_COLOURS * norm) & (norm > _DARK)
+    beyond = beyond_reflectances(albedo)
+    is_off = (beyond > BEYOND_COLOURS) & (np.linalg.norm(albedo, axis=2) > _DARK)
     if not np.any(is_off):
         return []
-    worst = np.unravel_index(
-        int(np.argmax(np.where(is_off, beyond / np.maximum(norm, _DARK), 0.0))), norm.shape
-    )
+    worst = np.unravel_index(int(np.argmax(np.where(is_off, beyond, 0.0))), beyond.shape)
     colour = ", ".join(
         f"{label} {value:.3g}" for label, value in zip(file.bands.labels, albedo[worst], strict=True)
     )
     where = _in_words(file, np.argwhere(is_off))
     return [f"colours that no reflectance can have, such as an albedo of {colour}, {where}"]
-
-
-@lru_cache(maxsize=1)
-def _solid_of_reflectances() -> tuple[Array, Array]:
-    """Return normals (K, 3) of the solid of all reflectances from 0 to 1 under D65 in linear sRGB, and its extents.
-
-    Source: Schroedinger 1920; the extent is reached by a reflectance of 1 where the normal's response is positive.
-    """
-    _, responses = sensor_responses(Illuminant.named("D65"), 2)
-    k = np.arange(_NORMALS) + 0.5  # a Fibonacci lattice
-    normals = from_spherical(np.arccos(1.0 - 2.0 * k / _NORMALS), np.pi * (1.0 + 5.0**0.5) * k)
-    return frozen(normals), frozen(np.maximum(normals @ xyz_to_srgb(responses).T, 0.0).sum(axis=1))
 
 
 def _of_bands(file: BsdfFile, albedo: Array, negative_share: Array) -> list[str]:

@@ -148,7 +148,7 @@ class MeasuredBRDF(NotebookPicture):
 
     def _evaluate(self, wi: Array, wo: Array, divide: bool, out: Array | None) -> Array:
         flat_wi, flat_wo, shape = as_rows(wi, wo, "wo")
-        out = results((*shape, self.bands.count), out, flat_wi.dtype)
+        out = results((*shape, self.bands.count), out, flat_wi.dtype, (flat_wi, flat_wo))
         rows = out.reshape(-1, self.bands.count)
         if not self._share(
             lambda k, i, o: loops.eval_pairs(i, o, *self.symmetry[:2], divide, self.tables, rows[k]),
@@ -180,7 +180,8 @@ class MeasuredBRDF(NotebookPicture):
                 allocated.
 
         Raises:
-            ShapeError: a direction array is not (..., 3), not finite, or not of unit length; `out` does not fit.
+            ShapeError: a direction array is not (..., 3), not real, not finite, or not of unit length; `out` does not
+                fit, or overlaps the directions.
         """
         return self._evaluate(wi, wo, True, out)
 

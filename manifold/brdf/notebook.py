@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from manifold.colour.ball_colours import Picture
     from manifold.core.records import Array, Mask
 
-_PIXELS, _RINGS, _SPOKES = 64, 24, 16
-_BLOCK = 128  # pixels evaluated at once: 40,000 direction pairs
+_PIXELS = 64
+_BLOCK = 48  # pixels evaluated at once: 40,000 direction pairs
 
 
 class NotebookPicture:
@@ -37,11 +37,9 @@ def ball_png(brdf: BRDF) -> bytes:
     return memory.getvalue()
 
 
-def ball_image(
-    brdf: EvaluableBRDF, size: int, rings: int = _RINGS, spokes: int = _SPOKES
-) -> tuple[Array, Mask]:
+def ball_image(brdf: EvaluableBRDF, size: int) -> tuple[Array, Mask]:
     """Return a picture of a ball with a BRDF, display values (size, size, 3), and the mask of the ball's pixels."""
-    return _picture(brdf, ball_colours.ball(size, rings, spokes), size)
+    return _picture(brdf, ball_colours.ball(size, *ball_colours.DRAWN), size)
 
 
 def sun_image(brdf: EvaluableBRDF, size: int, degrees: float) -> tuple[Array, Mask]:

@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 
 from manifold.colour.colour_science import colour_science
-from manifold.colour.conversion import sensor_responses, srgb_to_xyz, to_xyz, xyz_weights
+from manifold.colour.conversion import sensor_responses, srgb_to_xyz, to_xyz, xyz_to_srgb, xyz_weights
 from manifold.colour.illuminants import Illuminant, illuminant_power
-from manifold.colour.reflectances import srgb_spectra
+from manifold.colour.reflectances import BEYOND_COLOURS, beyond_reflectances, srgb_spectra
 from manifold.core.directions import from_spherical
 from manifold.core.errors import ShapeError
 from manifold.core.metrics import spectral_angle
@@ -67,6 +67,16 @@ def lab_values(f: Array, bands: Bands, viewing: Viewing = DAYLIGHT) -> Array:
     """Return CIELAB (..., 3) of f (..., B) in 1/sr, as radiance factors; for linear sRGB under D65/2."""
     weights = xyz_weights(bands, *viewing)
     return to_lab(np.pi * np.asarray(f) @ weights, weights.sum(axis=0))
+
+
+def is_beyond_reflectances(lab: Array, share: float = BEYOND_COLOURS) -> bool:
+    """Return whether no reflectance from 0 to 1 has this CIELAB colour (3,) under D65, by a share of its norm.
+
+    By default, fluorescent paints lie within.
+    """
+    white = srgb_to_xyz(np.ones(3))
+    xyz = np.asarray(colour_science().Lab_to_XYZ(lab, white[:2] / white.sum()))
+    return bool(beyond_reflectances(xyz_to_srgb(xyz)) > share)
 
 
 def lab_under_d65(lab: Array, viewing: Viewing) -> Array:

@@ -12,7 +12,8 @@ import numpy as np
 from manifold.colour import colour_spaces
 from manifold.colour.colour_spaces import SRGB, ColourSpace
 from manifold.colour.saturation import find_plateau
-from manifold.core.errors import FileFormatError, MissingFileError
+from manifold.core import disk
+from manifold.core.errors import FileFormatError
 from manifold.core.extras import require
 from manifold.core.names import first_few, percent
 from manifold.core.picture_bytes import KINDS, tags
@@ -97,8 +98,7 @@ def read_picture(path: Path, is_linear: bool | None = None, *, finds_plateaus: b
         MissingFileError: there is no such file.
         FileFormatError: the file is no readable picture, or its colour space is not understood.
     """
-    if not path.is_file():
-        raise MissingFileError(f"{path}: no such file; name a picture (.exr, .hdr, .tif, .png, .jpg)")
+    disk.require_regular(path, "name a picture (.exr, .hdr, .tif, .png, .jpg)")
     if path.suffix.lower() in RAW_SUFFIXES:
         return _read_raw(path, finds_plateaus)
     try:

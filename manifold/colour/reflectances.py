@@ -10,13 +10,19 @@ from pathlib import Path
 import numpy as np
 
 from manifold.colour.colour_science import colour_science, distribution, frozen
-from manifold.colour.conversion import decode_srgb, to_srgb
+from manifold.colour.conversion import decode_srgb, sensor_responses, to_srgb, xyz_to_srgb
+from manifold.colour.illuminants import Illuminant
+from manifold.core.directions import from_spherical
 from manifold.core.errors import FileFormatError, ShapeError, UnknownNameError, UsageError
 from manifold.core.names import names_like
 from manifold.core.records import Array, Bands
 from manifold.formats.spectra import read_spectrum
 
+BEYOND_COLOURS = 0.15
+"""Share of a colour's norm by which it may lie beyond the colours of reflectances; fluorescent paints reach 0.14."""
 _VISIBLE_NM = (400.0, 700.0)
+_NORMALS = 1000  # of the solid of colours
+_LEAST_NORM = 0.01  # darker colours are compared with this norm, because their readings are uncertain
 
 
 def diffuse_reflectance_names() -> tuple[str, ...]:
@@ -46,6 +52,29 @@ def diffuse_reflectance(name: str, wavelengths_nm: Array) -> Array:
             f"no reflectance named {name!r}; {names_like([*known, *plain], name, 'the names are')}"
         )
     return np.clip(np.interp(wavelengths_nm, *known[key]), 0.0, 1.0)
+
+
+def beyond_reflectances(linear: Array) -> Array:
+    """Return how far colours lie beyond those of reflectances from 0 to 1 under D65, as shares of their norms.
+
+    Colours are linear sRGB (..., 3); the result (...) is negative for colours that a reflectance has.
+    """
+    normals, extent = _solid_of_reflectances()
+    return np.max(linear @ normals.T - extent, axis=-1) / np.maximum(
+        np.linalg.norm(linear, axis=-1), _LEAST_NORM
+    )
+
+
+@lru_cache(maxsize=1)
+def _solid_of_reflectances() -> tuple[Array, Array]:
+    """Return normals (K, 3) of the solid of all reflectances from 0 to 1 under D65 in linear sRGB, and its extents.
+
+    Source: Schroedinger 1920; the extent is reached by a reflectance of 1 where the normal's response is positive.
+    """
+    _, responses = sensor_responses(Illuminant.named("D65"), 2)
+    k = np.arange(_NORMALS) + 0.5  # a Fibonacci lattice
+    normals = from_spherical(np.arccos(1.0 - 2.0 * k / _NORMALS), np.pi * (1.0 + 5.0**0.5) * k)
+    return frozen(normals), frozen(np.maximum(normals @ xyz_to_srgb(responses).T, 0.0).sum(axis=1))
 
 
 def srgb_reflectance(display: Array, bands: Bands) -> Array:

@@ -48,15 +48,41 @@ def half_vector(wi: Array, wo: Array) -> Array:
     return normalize(wi + wo)
 
 
+def require_real(values: Array, name: str) -> Array:
+    """Return values as an array of real numbers, in their own precision; None counts as NaN.
+
+    Raises:
+        ShapeError: the rows have different lengths, or the values are complex numbers or texts.
+    """
+    try:
+        array = np.asarray(values)
+        array = array.astype(np.float64) if array.dtype == object else array
+    except (TypeError, ValueError) as error:
+        raise ShapeError(f"{name}: rows of different lengths, or no numbers; expected one array") from error
+    if array.dtype.kind not in "fiu":
+        raise ShapeError(f"{name}: values of type {array.dtype}, expected real numbers")
+    return array
+
+
+def require_vectors(w: Array, name: str, width: int = 3) -> Array:
+    """Return vectors as an array (..., width) of real numbers, in their own precision.
+
+    Raises:
+        ShapeError: as `require_real`, or the last axis has another size.
+    """
+    w = require_real(w, name)
+    if w.ndim == 0 or w.shape[-1] != width:
+        raise ShapeError(f"{name} has shape {w.shape}, expected (..., {width})")
+    return w
+
+
 def require_directions(w: Array, name: str) -> Array:
     """Return directions as float64 (..., 3).
 
     Raises:
-        ShapeError: the last axis is not 3, a value is not finite, or a vector is not of unit length (1e-3).
+        ShapeError: as `require_vectors`, or a value is not finite, or a vector is not of unit length (1e-3).
     """
-    w = np.asarray(w, dtype=np.float64)
-    if w.ndim == 0 or w.shape[-1] != 3:
-        raise ShapeError(f"{name} has shape {w.shape}, expected (..., 3)")
+    w = np.asarray(require_vectors(w, name), dtype=np.float64)
     length_squared = np.einsum("...i,...i->...", w, w)
     deviation = np.abs(length_squared - 1.0)
     if np.all(deviation <= 2e-3):

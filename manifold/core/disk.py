@@ -83,18 +83,28 @@ MOST_TEXT = 16 << 20
 """Largest size of a text file in bytes; scenes, fits and spectra have kilobytes."""
 
 
-def read_bytes(path: Path, *, advice: str, most: int) -> bytes:
-    """Return the content of a regular file of at most `most` bytes; `advice` ends the error message."""
-    if not os.path.isfile(path):  # a pipe would block, and a device need not end
+def require_regular(path: Path, advice: str) -> None:
+    """Raise unless a path is a regular file, because a pipe would block, and a device need not end."""
+    if not os.path.isfile(path):
         if os.path.exists(path):
             raise FileAccessError(f"{path}: not a regular file; {advice}")
         raise MissingFileError(f"{path}: no such file; {advice}")
+
+
+def cannot_read(path: Path, error: OSError, advice: str) -> FileAccessError:
+    """Return the error of a file that exists and cannot be read."""
+    return FileAccessError(f"{path}: cannot be read ({error.strerror or error}); {advice}")
+
+
+def read_bytes(path: Path, *, advice: str, most: int) -> bytes:
+    """Return the content of a regular file of at most `most` bytes; `advice` ends the error message."""
+    require_regular(path, advice)
     try:
         with path.open("rb") as stream:
             size = os.fstat(stream.fileno()).st_size
             content = stream.read(min(size, most) + 1)  # which allocates as much before it reads
     except OSError as error:
-        raise FileAccessError(f"{path}: cannot be read ({error.strerror}); {advice}") from error
+        raise cannot_read(path, error, advice) from error
     if len(content) > most:
         raise UsageError(f"{path}: more than {most} bytes; {advice}")
     return content

@@ -96,10 +96,27 @@ class LatentError(UsageError, ShapeError):
     """A latent coordinate has the wrong number of values, or values that are not finite."""
 
 
-def in_words(error: Exception) -> str:
+EXTENSIONS: dict[str, str] = {}
+"""Packages that add entries to the registries, by the top-level module of their entry points."""
+
+
+def extension_of(error: BaseException) -> str | None:
+    """Return the package of an entry point whose code raised an exception, or called what raised it; else None."""
+    trace = error.__traceback__
+    while trace is not None:
+        module = str(trace.tb_frame.f_globals.get("__name__")).partition(".")[0]
+        if module in EXTENSIONS:
+            return EXTENSIONS[module]
+        trace = trace.tb_next
+    return None
+
+
+def in_words(error: BaseException) -> str:
     """Return the message that a user sees for an error that ends a command."""
     if isinstance(error, ManifoldError):
         return str(error)
+    if (package := extension_of(error)) is not None:
+        return f"the package {package} failed ({type(error).__name__}: {error}); report it there, or uninstall it"
     if isinstance(error, MemoryError):
         return "out of memory; close other programs, or use a smaller library"
     if isinstance(error, OSError):

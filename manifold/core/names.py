@@ -66,6 +66,15 @@ def counted(count: int, what: str) -> str:
     return f"{count} {what}{'s' * (count != 1)}"
 
 
+def exceeds(value: float, most: float, digits: int) -> bool:
+    """Return whether a value exceeds a limit if it is printed with a number of decimal digits.
+
+    >>> exceeds(1.04, 1.0, 1), exceeds(1.06, 1.0, 1)
+    (False, True)
+    """
+    return round(value, digits) > most
+
+
 def percent(share: SupportsFloat, digits: int = 0) -> str:
     """Return a share as a text in per cent, with a number of decimal digits.
 

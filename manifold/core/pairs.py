@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from manifold.core.compiled import loops
-from manifold.core.directions import from_rusinkiewicz, require_directions, rotate_z
+from manifold.core.directions import from_rusinkiewicz, require_directions, require_vectors, rotate_z
 from manifold.core.errors import ShapeError, UsageError
 from manifold.core.records import Array, Indices, Mask
 from manifold.registries import NAMED_GRIDS
@@ -27,9 +27,9 @@ Symmetry = tuple[bool, int, float]
 
 def flat_samples(wi: Array, u: Array) -> tuple[Array, Array, tuple[int, ...]]:
     """Return directions (..., 3) and variates (..., 2) as contiguous (K, 3) and (K, 2), and their broadcast shape."""
-    wi, u = require_directions(wi, "wi"), np.asarray(u, dtype=np.float64)
-    if u.ndim == 0 or u.shape[-1] != 2 or not np.all((u >= 0.0) & (u <= 1.0)):
-        raise ShapeError(f"u has shape {u.shape}, expected (..., 2) with values in [0, 1]")
+    wi, u = require_directions(wi, "wi"), np.asarray(require_vectors(u, "u", 2), dtype=np.float64)
+    if not np.all((u >= 0.0) & (u <= 1.0)):
+        raise ShapeError("u has values outside [0, 1], expected uniform variates")
     try:
         shape = np.broadcast_shapes(wi.shape[:-1], u.shape[:-1])
     except ValueError as error:
@@ -49,12 +49,8 @@ def as_rows(vectors: Array, others: Array, name: str, width: int = 3) -> tuple[A
     The rows are (K, width), or one row for all pairs, in single precision if both arrays are, otherwise in double.
     The compiled loops check the values, because checks in NumPy would take as long as evaluating an RGB file.
     """
-    vectors, others = np.asarray(vectors), np.asarray(others)
+    vectors, others = require_vectors(vectors, "wi"), require_vectors(others, name, width)
     dtype = value_type(vectors, others)
-    if vectors.ndim == 0 or vectors.shape[-1] != 3:
-        raise ShapeError(f"wi has shape {vectors.shape}, expected (..., 3)")
-    if others.ndim == 0 or others.shape[-1] != width:
-        raise ShapeError(f"{name} has shape {others.shape}, expected (..., {width})")
     try:
         shape = np.broadcast_shapes(vectors.shape[:-1], others.shape[:-1])
     except ValueError as error:
@@ -68,8 +64,13 @@ def as_rows(vectors: Array, others: Array, name: str, width: int = 3) -> tuple[A
     return flat[0].reshape(-1, 3), flat[1].reshape(-1, width), shape
 
 
-def results(shape: tuple[int, ...], out: Array | None, dtype: DTypeLike = np.float64) -> Array:
-    """Return the array for results of a shape: `out`, if given, which must fit, or a new array of a type."""
+def results(
+    shape: tuple[int, ...], out: Array | None, dtype: DTypeLike, inputs: tuple[Array, Array]
+) -> Array:
+    """Return the array for results of a shape: `out`, if given, which must fit, or a new array of a type.
+
+    `inputs` are the arrays that are read while results are written.
+    """
     if out is None:
         return np.empty(shape, dtype)
     if not isinstance(out, np.ndarray):
@@ -78,6 +79,8 @@ def results(shape: tuple[int, ...], out: Array | None, dtype: DTypeLike = np.flo
         raise ShapeError(
             f"out is {out.dtype} {out.shape}, expected contiguous float32 or float64 {shape}, which can be written"
         )
+    if any(np.may_share_memory(out, each) for each in inputs):
+        raise ShapeError("out overlaps the directions, expected an array with memory of its own")
     return out
 
 
@@ -130,9 +133,9 @@ class Pairs:
         """cos(theta_i) cos(theta_o), shape (K,)."""
         return cosine_weight(self.wi, self.wo)
 
-    def results(self, count: int, out: Array | None, dtype: DTypeLike = np.float64) -> Array:
+    def results(self, count: int, out: Array | None, dtype: DTypeLike) -> Array:
         """Return the array for `count` values per pair, shape (..., count): `out`, if given, or a new array."""
-        return results((*self.shape, count), out, dtype)
+        return results((*self.shape, count), out, dtype, (self.wi, self.wo))
 
     def turned(self, angle_rad: float) -> tuple[Array, Array]:
         """Rotate both directions about the normal; return two arrays (K, 3)."""

@@ -182,9 +182,14 @@ class ZipStore:
             return _bytes(file.read(most))
 
 
+def is_zip(path: Path) -> bool:
+    """Return whether a path is a regular file that zip made; `is_zipfile` would wait for the data of a pipe."""
+    return os.path.isfile(path) and zipfile.is_zipfile(path)
+
+
 def is_zipped_library(path: Path) -> bool:
     """Return whether a file is a zip file that holds a library."""
-    if not os.path.isfile(path) or not zipfile.is_zipfile(path):
+    if not is_zip(path):
         return False
     try:
         ZipStore(path)

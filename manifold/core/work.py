@@ -19,7 +19,7 @@ from multiprocessing.connection import wait
 from typing import TypeVar
 
 from manifold.core import progress
-from manifold.core.errors import ManifoldError
+from manifold.core.errors import ManifoldError, extension_of, in_words
 from manifold.core.threads import VARIABLE, one_blas_thread
 
 T = TypeVar("T")
@@ -79,6 +79,10 @@ def _attempt(function: Callable[[T], R], index: int, task: T) -> tuple[int, R | 
         return index, None, str(error)
     except OSError as error:
         return index, None, f"{error.filename or 'a file'}: {error.strerror or error}; check the path"
+    except (Exception, SystemExit) as error:
+        if extension_of(error) is None:
+            raise
+        return index, None, in_words(error)
 
 
 def _begin(threads: int) -> None:

@@ -22,7 +22,12 @@ from manifold.brdf.measured import MeasuredBRDF, values_at
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour import panel
 from manifold.colour.conversion import srgb_to_xyz, to_xyz, xyz_weights
-from manifold.colour.difference import delta_e_2000, delta_e_2000_lab, to_lab
+from manifold.colour.difference import (
+    delta_e_2000,
+    delta_e_2000_lab,
+    is_beyond_reflectances,
+    to_lab,
+)
 from manifold.colour.narrow_bands import with_spectra
 from manifold.colour.reflectances import srgb_spectra
 from manifold.core import progress
@@ -283,6 +288,9 @@ class Adjusted:
                 for values in (self.asked, self.reached)
             )
             difference = f"CIEDE2000 {self.difference:.1f} ({DAYLIGHT}, 45/0)"
+            wanted = from_lch(np.array([self.asked[each.key] for each in COLOUR]))
+            if is_beyond_reflectances(wanted, 0.0):
+                difference += "; no reflectance has the requested colour, this is the nearest in CIELAB"
             shortfalls.append(f"colour: {reached} reached, {asked} requested, {difference}")
         return tuple(shortfalls)
 

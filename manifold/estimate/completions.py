@@ -15,7 +15,7 @@ from manifold import __version__
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility
 from manifold.colour.correction import ColourCorrection
-from manifold.colour.difference import lab_under_d65
+from manifold.colour.difference import is_beyond_reflectances, lab_under_d65
 from manifold.colour.picture_files import notes_together
 from manifold.core.directions import from_spherical
 from manifold.core.errors import UsageError
@@ -700,12 +700,14 @@ def parse_lab(text: str, viewing: Viewing) -> Array:
 
 
 def colour_under_d65(lab: Array, viewing: Viewing) -> Array:
-    """Convert CIELAB (3,) from a light and observer to D65 and the 2 degree observer, after checking the lightness."""
+    """Convert CIELAB (3,) from a light and observer to D65 and the 2 degree observer, after checking the colour."""
+    colour = f"colour '{','.join(f'{v:g}' for v in lab)}'"
     if not 0.0 <= lab[0] <= 100.0:
-        raise UsageError(
-            f"colour '{','.join(f'{v:g}' for v in lab)}', expected L,a,b such as 50,20,10, with L from 0 to 100"
-        )
-    return lab_under_d65(lab, viewing)
+        raise UsageError(f"{colour}, expected L,a,b such as 50,20,10, with L from 0 to 100")
+    converted = lab_under_d65(lab, viewing)
+    if is_beyond_reflectances(converted):
+        raise UsageError(f"{colour}: no reflectance has it; expected L,a,b of a surface, with less chroma")
+    return converted
 
 
 def parse_gloss(texts: Iterable[str]) -> dict[float, float]:

@@ -21,6 +21,7 @@ from manifold.core import disk, shipped
 from manifold.core.errors import UsageError
 from manifold.core.judged_lights import BALL, BALL_COLUMN, LIGHTS, light_in_words
 from manifold.core.metrics import Errors
+from manifold.core.names import exceeds
 from manifold.core.progress import Stages
 from manifold.core.records import BsdfFile
 from manifold.estimate.inputs import find_inputs
@@ -49,6 +50,8 @@ from manifold.registries import FIT_SUFFIX, TARGETS
 from manifold.render import fit_json
 from manifold.render.fitted_brdf import FittedBRDF
 
+SHEET = "exports"
+"""End of the name of a picture that shows a material and several of its exports."""
 _PACK_PAGE, _PACK_BALLS = "index.html", "balls"  # page of a pack, and the folder of its pictures
 
 
@@ -229,7 +232,7 @@ def export(
     if balls is not None:
         _write_balls(balls, subject, content)
     notes = (*subject.notes, *([target.caveat] if target.caveat else []))
-    if made.errors.ball > VISIBLE:
+    if exceeds(made.errors.ball, VISIBLE, 1):
         light = f"{made.errors.worst:.1f} in the worst light ({light_in_words(made.errors.worst_light)})"
         away = f"{made.errors.ball:.1f} {BALL} from the {subject.against}"
         notes = (f"not a close fit: {away}, above {VISIBLE:g}; {light}", *notes)
@@ -290,7 +293,7 @@ def exports(
 ) -> BatchCommand[ExportSource]:
     """Return the batch command that writes the materials of `export_sources` for a target; existing files are kept.
 
-    With pictures, each material is drawn beside the target's model into NAME.png; a pack also has an overview page.
+    With pictures, each material is drawn beside the target's model into NAME_TARGET.png; a pack also has a page.
     """
     columns: dict[str, Callable[[Content], Any]] = {
         BALL_COLUMN: lambda content: content["errors"]["ball"],
@@ -304,7 +307,7 @@ def exports(
     conclude = partial(_write_index, target) if is_pack else None
     beside = partial(_pictures_of, target=target, with_pictures=with_pictures, is_pack=is_pack)
     return BatchCommand(
-        "exports", make, how, target.suffix, columns=columns, beside=beside, conclude=conclude,
+        "exports", make, how, target.file_suffix, columns=columns, beside=beside, conclude=conclude,
         is_shared=is_pack,
     )  # fmt: skip
 
@@ -317,7 +320,7 @@ def _ball_in(implementation: str, content: Content) -> float:
 def exports_of_many(targets: Sequence[Target], *, with_pictures: bool = False) -> BatchCommand[ExportSource]:
     """Return the batch command that fits every material of `export_sources` once, and writes it for several targets.
 
-    With pictures, balls of each material and its exports are drawn into NAME.png.
+    With pictures, balls of each material and its exports are drawn into NAME_exports.png.
     """
     columns: dict[str, Callable[[Content], Any]] = {
         f"{BALL_COLUMN}, {target.name}": partial(_ball_of, target.name) for target in targets
@@ -335,13 +338,14 @@ def _ball_of(target: str, content: Content) -> float:
 
 
 def paths_for(folder: Path, name: str, targets: Sequence[Target]) -> list[Path]:
-    """Return the file paths of a material for several targets.
+    """Return the file paths of a material for several targets."""
+    return [folder / f"{name}{target.file_suffix}" for target in targets]
 
-    If targets share a suffix, the names include the target.
-    """
-    suffixes = [target.suffix for target in targets]
-    marks = [f"_{target.name}" if suffixes.count(target.suffix) > 1 else "" for target in targets]
-    return [folder / f"{name}{mark}{suffix}" for mark, suffix in zip(marks, suffixes, strict=True)]
+
+def picture_of(path: Path, target: Target) -> Path:
+    """Return the path of the picture of an export, NAME_TARGET.png, because other commands write NAME.png."""
+    name = path.name.removesuffix(target.suffix).removesuffix(f"_{target.name}")
+    return path.with_name(f"{name}_{target.name}.png")
 
 
 def _files_beside(
@@ -349,7 +353,10 @@ def _files_beside(
 ) -> list[Path]:
     """Return the files of all but the first target, and the picture."""
     name = path.name.removesuffix(paths_for(Path(), "", targets)[0].name)
-    return [*paths_for(path.parent, name, targets)[1:], *[path.parent / f"{name}.png"] * with_pictures]
+    return [
+        *paths_for(path.parent, name, targets)[1:],
+        *[path.parent / f"{name}_{SHEET}.png"] * with_pictures,
+    ]
 
 
 def _export_many(
@@ -394,8 +401,8 @@ def _pictures_of(
     path: Path, content: Content, *, target: Target, with_pictures: bool, is_pack: bool
 ) -> list[Path]:
     """Return the pictures that belong to an export."""
-    ball = path.parent / _PACK_BALLS / f"{path.name.removesuffix(target.suffix)}.png"
-    return [path.with_suffix(".png")] * with_pictures + [ball] * is_pack
+    ball = path.parent / _PACK_BALLS / f"{path.name.removesuffix(target.file_suffix)}.png"
+    return [picture_of(path, target)] * with_pictures + [ball] * is_pack
 
 
 def _write_index(target: Target, made: Batch[ExportSource]) -> None:
@@ -430,7 +437,7 @@ def _write_balls(path: Path, subject: Subject, *exports: Content) -> None:
 def _export(
     source: ExportSource, path: Path, *, target: Target, with_pictures: bool, is_pack: bool
 ) -> Content:
-    picture = path.with_suffix(".png") if with_pictures else None
+    picture = picture_of(path, target) if with_pictures else None
     balls = path.parent / _PACK_BALLS / f"{source.name}.png" if is_pack else None
     made = export(source.read(), target, path, picture=picture, balls=balls)
     return (made.content or {}) | {"notes": list(made.notes)}

@@ -12,7 +12,7 @@ from manifold.colour import panel
 from manifold.colour.conversion import to_srgb
 from manifold.colour.narrow_bands import with_spectra
 from manifold.colour.panel import Panel
-from manifold.core.directions import require_directions, rotate_z
+from manifold.core.directions import require_directions, require_real, rotate_z
 from manifold.core.errors import ShapeError, UsageError
 from manifold.core.pairs import RusinkiewiczGrid
 from manifold.core.records import Array, Bands, Indices
@@ -84,7 +84,8 @@ class FitSamples:
         `cos(theta_o)`, errors are then weighted by both cosines.
         """
         bands = Bands(None) if bands is None else bands
-        wi, wo, f = require_directions(wi, "wi"), require_directions(wo, "wo"), np.asarray(f, float)
+        wi, wo = require_directions(wi, "wi"), require_directions(wo, "wo")
+        f = np.asarray(require_real(f, "values"), float)
         if wi.ndim != 2 or wo.shape != wi.shape:
             raise ShapeError(f"wi has shape {wi.shape} and wo {wo.shape}, expected the same (M, 3)")
         if f.shape != (len(wi), bands.count):

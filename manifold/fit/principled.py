@@ -18,7 +18,7 @@ from manifold.colour.difference import VISIBLE
 from manifold.core.errors import UnknownNameError, UsageError
 from manifold.core.judged_lights import BALL, BALL_COLUMN
 from manifold.core.metrics import Errors
-from manifold.core.names import names_like, percent
+from manifold.core.names import exceeds, names_like, percent
 from manifold.core.records import Array, Bands, BsdfFile
 from manifold.core.results import Result, entry
 from manifold.fit import adam_and_swarm, fit_metrics, fit_samples, gauss_newton, identifiability
@@ -218,7 +218,7 @@ def fit_bsdf(
             f"turned: highlights are wide along {degrees:.1f} degrees from x (rotation_deg), those of the BSDF along "
             "x; in Mitsuba, turn the tangents by it",
         )
-    if errors.ball > VISIBLE:
+    if exceeds(errors.ball, VISIBLE, 1):
         worst = f"{errors.worst:.1f} in {errors.worst_light}"
         notes += (f"not a close fit: {errors.ball:.1f} {BALL}, above {VISIBLE:g}; {worst}",)
         if (missed := fit_metrics.missed_highlight(fitted, target)) is not None:

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from manifold.core.defaults import ILLUMINANT, OBSERVER_DEG, REPEATABILITY
-from manifold.core.directions import from_spherical, require_directions
+from manifold.core.directions import from_spherical, require_directions, require_real
 from manifold.core.errors import ShapeError, UsageError
 from manifold.core.names import counted
 from manifold.core.records import Array, Bands, Indices, Mask
@@ -156,7 +156,7 @@ class Readings:
             raise ShapeError(f"{self.name}: a direction lies below the horizon, expected z >= 0; drop it")
         nm = None if self.wavelengths_nm is None else np.asarray(self.wavelengths_nm, dtype=np.float64)
         expected = (wi.shape[0], Bands.from_array(nm).count)
-        values = np.asarray(self.values, dtype=np.float64)
+        values = np.asarray(require_real(self.values, f"{self.name}: values"), dtype=np.float64)
         if values.shape != expected:
             raise ShapeError(f"{self.name}: values have shape {values.shape}, expected {expected}")
         if np.any(np.isinf(values)):

@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from manifold.core.errors import FileAccessError, FileFormatError, ManifoldError, UnknownNameError, UsageError
+from manifold.core import disk
+from manifold.core.errors import FileFormatError, ManifoldError, UnknownNameError, UsageError
 from manifold.core.names import first_few, names_like, printable
 from manifold.formats.dense import DenseTable
 from manifold.formats.doubts import with_doubts
@@ -21,7 +22,6 @@ from manifold.formats.light_side import without_hidden
 from manifold.formats.readings import Readings
 from manifold.formats.tables import HEADERS
 from manifold.formats.tensor_file import holds_tensors
-from manifold.formats.text import read_bytes
 from manifold.formats.values import LONGEST_NM, SHORTEST_NM
 from manifold.registries import FORMATS
 
@@ -59,7 +59,9 @@ def identify(path: Path | str) -> Format | None:
             package = FORMATS.packages.get(name, "")
             try:
                 is_of_it = known.sniff(head)
-            except Exception as error:
+                if not isinstance(is_of_it, bool | np.bool_):
+                    raise TypeError(f"sniff returned {type(is_of_it).__name__}, expected bool")
+            except (Exception, SystemExit) as error:
                 if not package:
                     raise
                 FORMATS.leave_out(name, error)
@@ -70,13 +72,13 @@ def identify(path: Path | str) -> Format | None:
 
 
 def _head(path: Path) -> bytes:
-    if not path.is_file():
-        read_bytes(path)  # says what it is
+    advice = "check the path"
+    disk.require_regular(path, advice)
     try:
         with path.open("rb") as stream:
             return stream.read(_SNIFFED)
     except OSError as error:
-        raise FileAccessError(f"{path}: cannot be read ({error.strerror}); check the path") from error
+        raise disk.cannot_read(path, error, advice) from error
 
 
 def unknown(path: Path) -> FileFormatError:
@@ -128,9 +130,9 @@ def _read_by(known: Format, path: Path) -> list[Record]:
         return list(known.read(path))
     try:
         records = list(known.read(path))
-    except (ManifoldError, OSError):
+    except ManifoldError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise FileFormatError(
             f"{printable(path.name, 255)}: the reader of {known.name} in the package {known.package} failed "
             f"({type(error).__name__}: {error})"

@@ -16,6 +16,7 @@ import zlib
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,6 +30,8 @@ _PREAMBLE = struct.Struct("<12sBBI")
 _FIELD = struct.Struct("<HBQ")  # number of axes, dtype, offset
 _MOST_FIELDS = 1024  # RGL files have 13
 _ALIGNMENT = 8
+_MOST_PADDING = 4096  # bytes that no field uses, per field: a page, more than any alignment needs
+_MOST_HEADER = 1 << 20  # bytes; 13 fields have 412
 _SNIFFED = 8192  # bytes of another format's header that may hold the word that tells it
 _GZIP_STREAM = 31  # of zlib: a header and a trailer of gzip
 _MOST_UNPACKED = 2 << 30  # bytes; the largest files of the database have a fifth
@@ -80,10 +83,28 @@ def read_tensors(path: Path | str, content: bytes | None = None) -> dict[str, An
     buffer: mmap.mmap | bytes = _map(path, context) if content is None else content
     if not buffer:
         raise context.error("is empty, expected an RGL tensor file")
-    if len(buffer) < _PREAMBLE.size:
-        raise context.error(f"has {len(buffer)} bytes, expected an RGL tensor file")
     if buffer[:2] == GZIP and holds_tensors(buffer[:_SNIFFED]):
         buffer = _decompress(buffer, context)
+    return {field.name: _view(buffer, field, context) for field in _read_header(buffer, len(buffer), context)}
+
+
+class _Field(NamedTuple):
+    """A field as the header announces it: its bytes begin at `offset`."""
+
+    name: str
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
+    offset: int
+
+    @property
+    def end(self) -> int:
+        return self.offset + math.prod(self.shape) * self.dtype.itemsize
+
+
+def _read_header(buffer: mmap.mmap | bytes, size: int, context: ErrorContext) -> list[_Field]:
+    """Return the fields of a file of `size` bytes, which begins with `buffer`, after checking where they lie."""
+    if len(buffer) < _PREAMBLE.size:
+        raise context.error(f"has {len(buffer)} bytes, expected an RGL tensor file")
     magic, major, minor, count = _PREAMBLE.unpack_from(buffer)
     if magic != MAGIC:
         raise context.error(
@@ -94,55 +115,64 @@ def read_tensors(path: Path | str, content: bytes | None = None) -> dict[str, An
         raise context.error(f"has tensor format {major}.{minor}, expected 1.0")
     if count > _MOST_FIELDS:
         raise context.error(f"announces {count} fields, expected at most {_MOST_FIELDS}")
-    tensors: dict[str, AnyArray] = {}
-    spans: list[tuple[int, int, str]] = []
+    fields: dict[str, _Field] = {}
     position = _PREAMBLE.size
     for index in range(count):
-        name, array, offset, position = _read_field(buffer, position, f"#{index + 1}", context)
-        if name in tensors:
-            raise context.error("appears twice, expected unique names", field=name)
-        tensors[name] = array
-        spans += [(offset, offset + array.nbytes, name)] if array.nbytes else []
-    for (_, end, before), (start, _, name) in pairwise([(0, position, "header"), *sorted(spans)]):
+        field, position = _read_field(buffer, position, f"#{index + 1}", context)
+        if field.end > size:
+            raise context.error(
+                f"with shape {shape_text(field.shape)} and dtype {field.dtype.name} ends beyond the file of {size} "
+                "bytes",
+                field=field.name,
+            )
+        if field.name in fields:
+            raise context.error("appears twice, expected unique names", field=field.name)
+        fields[field.name] = field
+    spans = sorted((field.offset, field.end, field.name) for field in fields.values() if 0 not in field.shape)
+    for (_, end, before), (start, _, name) in pairwise([(0, position, "header"), *spans]):
         if start < end:
             raise context.error(f"starts at byte {start}, inside '{before[:64]}'", field=name)
-    return tensors
+    unused = size - position - sum(end - start for start, end, _ in spans)
+    if unused > _MOST_PADDING * (count + 1):
+        raise context.error(
+            f"has {unused} bytes that belong to no field, expected only padding between fields"
+        )
+    return list(fields.values())
 
 
 def _map(path: Path, context: ErrorContext) -> mmap.mmap | bytes:
     """Map the whole file as read-only memory; an empty one cannot be mapped."""
+    advice = "expected an RGL tensor file; check the path"
+    disk.require_regular(path, advice)
     try:
         with path.open("rb") as file:
-            is_empty = os.path.isfile(path) and not os.fstat(file.fileno()).st_size
-            return b"" if is_empty else mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-    except (OSError, ValueError) as error:  # ValueError: a device
-        raise context.error(
-            f"cannot be read ({getattr(error, 'strerror', None) or error}), expected an RGL tensor file",
-            remedy="check the path",
-        ) from error
+            if not os.fstat(file.fileno()).st_size:
+                return b""
+            return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    except OSError as error:
+        raise disk.cannot_read(path, error, advice) from error
 
 
 def _decompress(packed: mmap.mmap | bytes, context: ErrorContext) -> bytes:
-    """Decompress a file, which ends with its size: no more memory is taken than that."""
+    """Decompress a file, which ends with its size: no more memory is taken than its fields need."""
     size = int.from_bytes(packed[-4:], "little")
     if size > _MOST_UNPACKED:
         raise context.error(f"holds {size} bytes, expected at most {_MOST_UNPACKED}")
-    stream = zlib.decompressobj(_GZIP_STREAM)
+    head, stream = zlib.decompressobj(_GZIP_STREAM), zlib.decompressobj(_GZIP_STREAM)
     try:
+        _read_header(head.decompress(packed[:_MOST_HEADER], min(size, _MOST_HEADER) or 1), size, context)
         content = stream.decompress(packed, size + 1)
     except zlib.error as error:
         raise context.error(f"cannot be decompressed ({error})") from error
     if len(content) != size or not stream.eof or stream.unused_data:
         raise context.error(f"does not decompress to the {size} bytes that it announces")
-    if size < _PREAMBLE.size:
-        raise context.error(f"holds {size} bytes, expected an RGL tensor file")
     return content
 
 
 def _read_field(
     buffer: mmap.mmap | bytes, position: int, number: str, context: ErrorContext
-) -> tuple[str, AnyArray, int, int]:
-    """Name, data and offset of a field, and the position behind its header; `number` stands for its name in errors."""
+) -> tuple[_Field, int]:
+    """Return a field, and the position behind its header; `number` stands for its name in errors."""
     try:
         (length,) = struct.unpack_from("<H", buffer, position)
         end = position + 2 + length
@@ -157,20 +187,22 @@ def _read_field(
         raise context.error("has a name that does not print, expected text", field=number)
     if code not in _DTYPES:
         raise context.error(f"has dtype {code}, expected 1 to 11", field=name)
-    dtype, count = np.dtype(_DTYPES[code]), math.prod(shape)
-    if offset + count * dtype.itemsize > len(buffer):
-        raise context.error(
-            f"with shape {shape_text(shape)} and dtype {dtype.name} ends beyond the file of {len(buffer)} bytes",
-            field=name,
-        )
-    # Without a copy unless the file does not align it. Behind the end of a file there is nothing to view.
-    array = np.frombuffer(buffer, dtype, count, offset) if count else np.empty(0, dtype)
+    return _Field(name, np.dtype(_DTYPES[code]), shape, offset), end + _FIELD.size + 8 * ndim
+
+
+def _view(buffer: mmap.mmap | bytes, field: _Field, context: ErrorContext) -> AnyArray:
+    """Return the data of a field, without a copy unless the file does not align it."""
+    count = math.prod(field.shape)
+    # Behind the end of a file there is nothing to view.
+    array = np.frombuffer(buffer, field.dtype, count, field.offset) if count else np.empty(0, field.dtype)
     try:
-        array = np.require(array, requirements="A").reshape(shape)
+        array = np.require(array, requirements="A").reshape(field.shape)
     except (ValueError, OverflowError):  # axes whose product overflows, one of them 0; or too many
-        raise context.error(f"has shape {shape_text(shape)}, which is too large", field=name) from None
+        raise context.error(
+            f"has shape {shape_text(field.shape)}, which is too large", field=field.name
+        ) from None
     array.flags.writeable = False
-    return name, array, offset, end + _FIELD.size + 8 * ndim
+    return array
 
 
 def write_tensors(path: Path | str, fields: Mapping[str, AnyArray]) -> None:

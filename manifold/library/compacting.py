@@ -119,8 +119,8 @@ def encode(file: BsdfFile, tolerance: float = COMPACT_TOLERANCE) -> Compact:
             return Compact(coefficients, tables, Accuracy(tolerance, ball, cube_root))
         step *= min(max(0.8 / excess, 0.25), 0.8)
     raise LibraryError(
-        f"{file.name}: its compact form differs by {ball:.2g} {BALL} and {percent(cube_root, 2)} in cube roots at the "
-        f"finest step, expected at most {most.ball:.2g} and {percent(most.cube_root, 2)}; raise the tolerance, "
+        f"{file.name}: its compact form differs by {ball:.3g} {BALL} and {percent(cube_root, 2)} in cube roots at the "
+        f"finest step, expected at most {most.ball:.3g} and {percent(most.cube_root, 2)}; raise the tolerance, "
         "or keep the material uncompressed"
     )
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from manifold.core import disk
 from manifold.core.defaults import COMPACT_TOLERANCE
 from manifold.core.errors import UsageError
 from manifold.core.records import AnyArray, Array, BsdfFile, origin_of
@@ -132,7 +133,8 @@ def present_arrays(file: BsdfFile) -> dict[str, Array]:
 
 
 def file_sha256(path: Path) -> str:
-    """Return the SHA-256 of a file, in hexadecimal."""
+    """Return the SHA-256 of a regular file, in hexadecimal."""
+    disk.require_regular(path, "check the path")
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

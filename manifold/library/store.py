@@ -9,7 +9,6 @@ import hashlib
 import json
 import os
 import shutil
-import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cached_property
@@ -32,7 +31,7 @@ from manifold.core.errors import (
 )
 from manifold.core.names import names_like
 from manifold.core.records import AnyArray, Array, Bands, BsdfFile
-from manifold.core.stores import METADATA, Entry, ZipStore, address_of, remote
+from manifold.core.stores import METADATA, Entry, ZipStore, address_of, is_zip, remote
 from manifold.io_rgl import require_sound
 from manifold.library import compact, staging, visible_normals
 from manifold.library.identity import (
@@ -323,7 +322,7 @@ def _root(path: Path | str) -> Entry:
         raise MissingLibraryError(f"{path}: no such library; create one with `manifold import`")
     if real.is_dir():
         return Entry.of_folder(real)
-    if not zipfile.is_zipfile(real):
+    if not is_zip(real):
         raise LibraryError(
             f"{path}: a file, expected a library, which is a folder, or a zip file of one; name another path"
         )

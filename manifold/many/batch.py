@@ -288,8 +288,10 @@ def _within(folder: Path, path: Path) -> str:
 
 
 def cell(value: Any) -> str:
-    """Return a value as a cell of a table."""
-    return f"{value:.3g}" if isinstance(value, float) else "" if value is None else str(value)
+    """Return a value as a cell of a table, to three digits, but at most three decimal places."""
+    if isinstance(value, float):
+        return f"{value:.3g}" if value == 0.0 or not abs(value) < 1e-3 else f"{value:.3f}"
+    return "" if value is None else str(value)
 
 
 def notes_of(outcome: Outcome[Any]) -> list[str]:

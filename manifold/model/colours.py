@@ -54,13 +54,13 @@ class ColourChoice:
         """Return everything that the colour depends on as plain values, including the content of a file.
 
         Raises:
-            UsageError: the file cannot be read.
+            MissingFileError, FileAccessError: the file is missing, or is no regular file.
         """
         spectrum, like = self.reflectance, self.like
         if self.is_like_file:
-            like = _content_of(Path(str(like)))
+            like = file_sha256(Path(str(like)))
         if isinstance(spectrum, Path):
-            known: Any = _content_of(spectrum)
+            known: Any = file_sha256(spectrum)
         elif spectrum is not None:
             known = [list(map(float, numbers)) for numbers in (spectrum.wavelengths_nm, spectrum.values)]
         else:
@@ -85,13 +85,6 @@ class ColourChoice:
             else read_reflectance(given, bands)
         )
         return spectrum, f"by {given.name}"
-
-
-def _content_of(path: Path) -> str:
-    try:
-        return file_sha256(path)
-    except OSError as error:
-        raise UsageError(f"{path}: {error.strerror}, expected a reflectance file") from error
 
 
 NEAREST = ColourChoice()

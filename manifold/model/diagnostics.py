@@ -13,7 +13,7 @@ from manifold.brdf.physical import RECIPROCITY_ERROR
 from manifold.brdf.plausibility import Plausibility, albedo_at, plausibility
 from manifold.core.judged_lights import BALL
 from manifold.core.metrics import EXPECTED_BALL, Errors
-from manifold.core.names import percent
+from manifold.core.names import exceeds, percent
 from manifold.core.records import Array
 from manifold.core.results import Result, derived, entry
 from manifold.model.blending import widest_gap
@@ -67,7 +67,7 @@ class DiagnosedPrediction(Result):
         nearest: the three nearest materials with their distances; empty for a step of a walk.
         materials: number of materials of the model, whose leave-one-out errors the expected errors are based on.
         expected: expected error of an unknown material at this latent, with the given colour if there is one; None if
-            the model is not calibrated, and for a step of a walk.
+            the model is not calibrated, for a latent that the data do not support, and for a step of a walk.
         posterior: standard deviation of the Gaussian process at the latent, with its unit; None for maps of blends
             and for a step of a walk.
         expected_in_chosen_colour: expected error if the colour were given; None unless the colour is blended.
@@ -131,7 +131,7 @@ class DiagnosedPrediction(Result):
     @derived(row="unknown material", json=False)
     def unknown_in_words(self) -> list[str]:
         """Return lines of text that state the expected error for a material located there whose colour is not given."""
-        if self.expected_in_chosen_colour is None or self.is_extrapolation or self.expected is None:
+        if self.expected_in_chosen_colour is None or self.expected is None:
             return []
         first, *others = self.expected.words
         return [f"located here, its colour not given: {first}", *others]
@@ -270,8 +270,8 @@ def diagnose(
         weights=[] if is_step else model.largest_weights(place, 5, colours),
         nearest=[] if is_step else model.nearest(place, 3),
         materials=len(model.names),
-        expected=model.expected_error(place, colours),
-        expected_in_chosen_colour=in_chosen_colour,
+        expected=None if is_extrapolation else model.expected_error(place, colours),
+        expected_in_chosen_colour=None if is_extrapolation else in_chosen_colour,
         posterior=model.posterior(place) if isinstance(model.space, GplvmSpace) and not is_step else None,
         is_extrapolation=is_extrapolation,
         plausibility=found,
@@ -369,7 +369,7 @@ def of_projection(before: Plausibility, found: Plausibility, change: Errors[floa
         f"{100.0 * before.reciprocity_error:.0f} to {100.0 * found.reciprocity_error:.0f} %; changed by "
         f"{change.ball:.1f} {BALL}, {100.0 * change.cube_root:.0f} % in cube roots",
     )
-    if found.reciprocity_error <= RECIPROCITY_ERROR:
+    if not exceeds(100.0 * found.reciprocity_error, 100.0 * RECIPROCITY_ERROR, 0):
         return changed
     return (
         *changed,

@@ -18,6 +18,7 @@ from manifold.core import disk
 from manifold.core.defaults import FINE_INCIDENCES
 from manifold.core.errors import UsageError
 from manifold.core.metrics import Errors, Number
+from manifold.core.names import exceeds
 from manifold.core.records import BsdfFile
 from manifold.io_rgl import material_name, write_bsdf
 from manifold.model import diagnostics
@@ -172,7 +173,7 @@ def write_output(
     file, plausibility, projection, change = output_file(
         brdf, name, options, description=description, keeps_hue=keeps_hue
     )
-    if plausibility.max_albedo > diagnostics.MOST_ALBEDO and options.strict:
+    if exceeds(plausibility.max_albedo, diagnostics.MOST_ALBEDO, 2) and options.strict:
         return WrittenFile(
             plausibility,
             refusal=f"{output}: would have an albedo of {plausibility.max_albedo:.2f} at "

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manifold.core.errors import LatentError, UsageError
+from manifold.core.names import counted
 from manifold.core.records import Array
 
 LARGEST_COORDINATE = 1e9  # latents are of order one; far larger ones overflow when squared
@@ -103,7 +104,7 @@ def require_latent(x: ArrayLike, latent_dim: int) -> Array:
         raise LatentError(f"latents of shape {x.shape}, expected one, ({latent_dim},)")
     shown = f"latent {np.array2string(x, separator=', ')}"
     if x.shape != (latent_dim,):
-        raise LatentError(f"{shown}: found {x.size} coordinates, expected {latent_dim}")
+        raise LatentError(f"{shown}: found {counted(x.size, 'coordinate')}, expected {latent_dim}")
     if not np.all(np.abs(x) <= LARGEST_COORDINATE):
         raise LatentError(f"{shown}: expected finite coordinates, of at most {LARGEST_COORDINATE:g}")
     return x

@@ -19,10 +19,10 @@ from manifold.brdf.notebook import NotebookPicture
 from manifold.brdf.plausibility import quadrature_albedo
 from manifold.brdf.sums import WeightedSum
 from manifold.brdf.wrapper import WrappedBRDF
-from manifold.core.directions import half_vector, require_directions
+from manifold.core.directions import half_vector
 from manifold.core.errors import ShapeError, UsageError
 from manifold.core.mapping import CubeRoot, Identity, ValueMapping
-from manifold.core.pairs import Pairs, value_type
+from manifold.core.pairs import Pairs, flat_samples, value_type
 from manifold.core.records import Array, Bands
 from manifold.core.threads import one_blas_thread, share_out
 from manifold.model.combination import Combination
@@ -217,12 +217,7 @@ class PredictedBRDF(NotebookPicture):
 
         A pdf of 0 marks an invalid sample.
         """
-        wi, u = require_directions(wi, "wi"), np.asarray(u, dtype=np.float64)
-        if u.shape[-1:] != (2,):
-            raise ShapeError(f"u has shape {u.shape}, expected (..., 2)")
-        shape = np.broadcast_shapes(wi.shape[:-1], u.shape[:-1])
-        wi = np.broadcast_to(wi, (*shape, 3)).reshape(-1, 3)
-        u = np.broadcast_to(u, (*shape, 2)).reshape(-1, 2)
+        wi, u, shape = flat_samples(wi, u)
         lobe, u = choose_lobe(self._sampling_weights, u)
         wo = np.zeros_like(wi)
         wo[:, 2] = 1.0

@@ -44,7 +44,7 @@ def serve(run: Callable[[str, dict[str, Any]], dict[str, Any]]) -> None:
             reply({"result": result})
         except MemoryError:
             return
-        except Exception as error:
+        except (Exception, SystemExit) as error:  # the latter from another package
             reply({"failure": in_words(error)})
 
 

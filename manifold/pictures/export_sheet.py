@@ -15,8 +15,7 @@ from manifold.colour.panel import SUN_DEG
 from manifold.core.records import Array, Mask
 from manifold.pictures import figures
 
-# Rings and spokes of a ball in the studio: fewer leave streaks on matt materials.
-_PIXELS, _RINGS, _SPOKES = 112, 32, 32
+_PIXELS = 112
 _MARGIN = 0.05  # around a ball, in its diameters
 _INCHES = 1.6  # a side of a ball
 
@@ -27,11 +26,6 @@ class SheetColumn(NamedTuple):
     label: str
     brdf: EvaluableBRDF
     words: str = ""
-
-
-def studio_ball(brdf: EvaluableBRDF, size: int = _PIXELS) -> tuple[Array, Mask]:
-    """Return a ball in the studio and its mask like `ball_image`, with a quadrature fit for matt materials."""
-    return ball_image(brdf, size, _RINGS, _SPOKES)
 
 
 def framed(shown: Array, inside: Mask) -> tuple[Array, Mask]:
@@ -49,7 +43,7 @@ def framed(shown: Array, inside: Mask) -> tuple[Array, Mask]:
 def draw(title: str, columns: Sequence[SheetColumn], path: Path) -> None:
     """Draw a column of two balls for each BRDF: in the studio, and under a sun beside the view."""
     lights: dict[str, Callable[[EvaluableBRDF], tuple[Array, Mask]]] = {
-        "studio": studio_ball,
+        "studio": partial(ball_image, size=_PIXELS),
         f"sun {SUN_DEG:.0f} degrees from the view": partial(sun_image, size=_PIXELS, degrees=SUN_DEG),
     }
     figure = figures.new_figure(_INCHES * len(columns) + 0.3, _INCHES * len(lights) + 0.9)

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.notebook import ball_image
 from manifold.brdf.orientation import aligned
 from manifold.core.records import Array, Mask
 from manifold.io_rgl import read_bsdf
 from manifold.pictures import figures, fit_figure
-from manifold.pictures.export_sheet import framed, studio_ball
+from manifold.pictures.export_sheet import framed
 from manifold.pictures.renders import RIM
 from manifold.pictures.slice_figures import ShownBRDF
 from manifold.render import fit_json, images, scenes
@@ -50,7 +51,7 @@ def picture_of_brdfs(title: str, sources: Sequence[ShownBRDF], output: Path) -> 
 
     Returns the means of CIEDE2000 and FLIP over the ball.
     """
-    balls = [framed(*studio_ball(source.brdf, _PIXELS)) for source in sources]
+    balls = [framed(*ball_image(source.brdf, _PIXELS)) for source in sources]
     return _draw(title, (balls[0][0], balls[1][0]), balls[0][1], sources, "studio", output)
 
 

@@ -25,6 +25,7 @@ from manifold.core.defaults import SHADER_TOLERANCE
 from manifold.core.errors import UsageError
 from manifold.core.judged_lights import BALL, BALL_COLUMN, LIGHTS
 from manifold.core.metrics import Errors
+from manifold.core.names import exceeds
 from manifold.core.records import BsdfFile
 from manifold.estimate.inputs import Input
 from manifold.estimate.source_files import read_source
@@ -111,7 +112,7 @@ def make_shader(
             break
     assert best is not None
     table, errors = best
-    if errors.ball > tolerance:
+    if exceeds(errors.ball, tolerance, 2):
         notes.append(
             f"no table of at most {MOST_BYTES >> 20} MB is within {tolerance:g}: this is the best, "
             f"{errors.ball:.2f} {BALL}"

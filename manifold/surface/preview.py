@@ -24,7 +24,7 @@ from manifold.surface.tiling import Textures
 _LAMPS_DEG = np.array([60.0, 20.0, -50.0])  # from the normal, in the plane of the instrument's lamps
 _SIZE, _FINER = 320, 2  # pixels of a side, and samples across each
 _STEEPEST, _SLOPES = 2.5, 301  # range of slopes under a lamp, and nodes across it
-_BALL_PIXELS, _RINGS, _SPOKES = 40, 32, 32
+_BALL_PIXELS = 40
 _BLOCK = 128  # pixels of the ball that are evaluated at once
 _BALL_RADIUS, _EDGE, _GROUND = 0.9, 0.98, 0.05  # of half a side; of the ball; linear sRGB around it
 
@@ -96,7 +96,7 @@ def _drawn(
 
 def _lit_ball(brdf: EvaluableBRDF) -> Array:
     """Render a distant ball in the studio light: linear sRGB, top row first, padded with its edge."""
-    ball = ball_colours.ball(_BALL_PIXELS, _RINGS, _SPOKES)
+    ball = ball_colours.ball(_BALL_PIXELS, *ball_colours.DRAWN)
     column, row = ((0.5 + 0.5 * ball.places * [1.0, -1.0]) * _BALL_PIXELS).astype(int).T
     image, inside = np.zeros((_BALL_PIXELS, _BALL_PIXELS, 3)), np.zeros((_BALL_PIXELS, _BALL_PIXELS), bool)
     for first in range(0, len(row), _BLOCK):

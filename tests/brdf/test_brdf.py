@@ -340,12 +340,46 @@ def test_what_values_do_not_fit_into_is_refused(corpus_file, out):
         (np.array([0.0, 0.0, np.nan]), "finite"),
         (np.array([0.0, 0.0, 2.0]), "length 2"),
         (np.zeros(3), "length 0"),
+        ([[0.0, 0.0, 1.0], [0.0, 1.0]], "wi: rows of different lengths"),
+        (np.array([0.0, 0.0, 1.0j]), "wi: values of type complex128, expected real numbers"),
+        (["x", "y", "z"], "wi: values of type <U1"),
+        (None, "shape"),
     ],
 )
 def test_what_is_no_direction_is_refused(corpus_file, wi, words):
-    brdf = MeasuredBRDF(read_bsdf(corpus_file("syn_iridescent_green", True)))
-    with pytest.raises(ShapeError, match=words):
-        brdf.eval(wi, np.array([0.0, 0.0, 1.0]))
+    brdf, up = MeasuredBRDF(read_bsdf(corpus_file("syn_iridescent_green", True))), np.array([0.0, 0.0, 1.0])
+    u = np.array([0.3, 0.6])
+    for call in (
+        lambda: brdf.eval(wi, up),
+        lambda: brdf.pdf(wi, up),
+        lambda: brdf.sample(wi, u),
+        lambda: brdf.albedo(wi),
+    ):
+        with pytest.raises(ShapeError, match=words):
+            call()
+
+
+def test_memory_of_the_directions_is_no_room_for_values():
+    file = sample_file("m", wavelengths_nm=np.array([450.0, 550.0, 650.0]))
+    brdf, wi = MeasuredBRDF(file), np.tile([0.0, 0.6, 0.8], (5, 1))
+    other = wi[::-1].copy()
+    for out in (wi, other):
+        with pytest.raises(ShapeError, match="out overlaps the directions"):
+            brdf.eval(wi, other, out=out)
+    np.testing.assert_array_equal(wi, np.tile([0.0, 0.6, 0.8], (5, 1)))
+
+
+@pytest.mark.parametrize("cosine", [0.0, 1e-12, 1e-9])
+def test_at_the_horizon_nothing_is_sampled_and_the_albedo_is_0(cosine):
+    brdf = MeasuredBRDF(sample_file("m", 1, size=8))
+    wi, up = np.array([np.sqrt(1.0 - cosine**2), 0.0, cosine]), np.array([0.0, 0.0, 1.0])
+    assert not np.any(brdf.eval(wi, up))
+    assert brdf.pdf(wi, up) == 0.0
+    assert brdf.sample(wi, np.array([0.3, 0.6]))[1] == 0.0
+    assert not np.any(brdf.albedo(wi))
+    above = np.array([np.sqrt(1.0 - 1e-16), 0.0, 1e-8])
+    assert brdf.sample(above, np.array([0.3, 0.6]))[1] > 0.0
+    assert np.any(brdf.albedo(above))
 
 
 def test_measured_and_analytic_brdfs_share_the_protocol(corpus_file):

@@ -62,6 +62,28 @@ def test_no_material_of_the_database_has_a_finding():
     assert not any(findings.values()), findings
 
 
+@pytest.mark.parametrize("is_isotropic", [True, False])
+def test_a_projected_area_that_does_not_follow_from_the_normals_is_named(is_isotropic):
+    file = measured("syn_felt_green") if is_isotropic else anisotropic()
+    doubled = check_consistency(replace(file, sigma=2.0 * file.sigma)).findings
+    # an anisotropic file is 2 % off before
+    assert re.fullmatch(
+        r"the field 'sigma' is 2(\.0\d)? times the projected area that 'ndf' implies", doubled[0]
+    )
+    halved = file.sigma.copy()
+    halved[:, 100:] *= 0.5
+    found = check_consistency(replace(file, sigma=halved)).findings
+    assert re.match("the field 'sigma' is down to (0.5|0.499) times", found[0])
+    unscaled = replace(file, jacobian=False, sigma=2.0 * file.sigma)  # where neither field counts
+    assert not any("sigma" in finding for finding in check_consistency(unscaled).findings)
+
+
+def test_a_normal_distribution_that_is_zero_everywhere_is_named():
+    file = measured("syn_felt_green")
+    empty = check_consistency(replace(file, ndf=np.zeros_like(file.ndf)))
+    assert empty.findings == ("the field 'ndf' is zero everywhere, and so is the BRDF",)
+
+
 @pytest.mark.parametrize("name", MATERIALS)
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_damage_is_named(damage, name):

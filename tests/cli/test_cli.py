@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import signal
@@ -105,6 +106,12 @@ def test_every_command_explains_itself_with_an_example(run, tmp_path, command):
         (["predict", "--name", "x"], "No such option: --name; see"),
         (["predict", "0.3", "0.2"], "write coordinates with a comma: 0.3,0.2; see"),
         (["predict", "-0.3", "-0.2", "1"], "write coordinates with a comma: -0.3,-0.2,1; see"),
+        (
+            ["complete", "readings", "--report"],
+            "'--report' requires an argument; see `manifold complete --help`",
+        ),
+        (["export", "cardboard", "--target", "gltff"], "unreal, unity, shader"),
+        (["complete", "--lab", "40,500,3"], "colour '40,500,3': no reflectance has it"),
         (["import", ""], "an empty argument"),
     ],
 )
@@ -528,6 +535,18 @@ def test_the_package_installs_no_global_module_named_cli(tmp_path):
         [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True
     )
     assert out.stdout.strip() == "None"
+
+
+def test_a_checkout_that_is_not_installed_runs_as_the_command(tmp_path):
+    """Without `site`, Python neither finds what is installed for editing nor reads files that say where it is."""
+    path = [str(REPOSITORY), *(entry for entry in sys.path if entry.endswith("site-packages"))]
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(path)}
+    done = subprocess.run(
+        [sys.executable, "-S", "-m", "manifold", "info", "--help"],
+        capture_output=True, text=True, cwd=tmp_path, env=env, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "Usage: manifold info" in done.stdout
 
 
 def test_python_runs_the_package_as_the_command(tmp_path):

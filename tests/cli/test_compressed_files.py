@@ -5,13 +5,14 @@ from __future__ import annotations
 import gzip
 import json
 import shutil
+import tracemalloc
 
 import numpy as np
 import pytest
 from helpers.small_library import NAMES, measured, small_model
 
 from manifold.core.errors import FileFormatError
-from manifold.formats import recognition, tensor_file
+from manifold.formats import recognition
 from manifold.formats.recognition import Kind, kind_of
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.model.model_file import read_model
@@ -86,8 +87,11 @@ def test_mitsuba_renders_compressed_files(packed, folder, run):
     ("harm", "words"),
     [
         (lambda content: content[:-4] + (2**31 + 1).to_bytes(4, "little"), "expected at most"),
-        (lambda content: content[:-4] + (100).to_bytes(4, "little"), "100 bytes that it announces"),
-        (lambda content: content[: len(content) // 2], "that it announces|expected at most"),
+        (
+            lambda content: content[:-4] + (100).to_bytes(4, "little"),
+            "has a header cut off|ends beyond|cannot be decompressed",
+        ),
+        (lambda content: content[: len(content) // 2], "that it announces|expected|ends beyond"),
         (lambda content: content + content, "that it announces"),
         (
             lambda content: content[:5000] + bytes(100) + content[5100:],
@@ -103,12 +107,29 @@ def test_damaged_compressed_files_are_refused(harm, words, packed, tmp_path):
         read_bsdf(path)
 
 
-def test_a_file_that_expands_beyond_what_it_announces_takes_no_more_memory(tmp_path, monkeypatch):
-    monkeypatch.setattr(tensor_file, "_MOST_UNPACKED", 1 << 16)
+def test_a_file_of_unused_bytes_is_refused_before_it_is_expanded(packed, tmp_path):
+    padded = tmp_path / "x_rgb.bsdf.gz"
+    padded.write_bytes(gzip.compress(gzip.decompress(packed.read_bytes()) + bytes(64 << 20), 1))
+    assert _refused_with_peak(padded, r"\d+ bytes that belong to no field") < 8 << 20
+
+
+def test_a_file_that_expands_beyond_what_it_announces_takes_no_more_memory(packed, tmp_path):
+    plain = gzip.decompress(packed.read_bytes())
     path = tmp_path / "x.bsdf.gz"
-    path.write_bytes(gzip.compress(b"tensor_file\0" + bytes(1 << 20))[:-4] + (1 << 15).to_bytes(4, "little"))
-    with pytest.raises(FileFormatError, match="that it announces"):
-        read_bsdf(path)
+    content = gzip.compress(plain + bytes(64 << 20), 1)
+    path.write_bytes(content[:-4] + len(plain).to_bytes(4, "little"))
+    assert _refused_with_peak(path, "that it announces") < 8 << 20
+
+
+def _refused_with_peak(path, words):
+    """Return the peak of memory in bytes while a file is refused."""
+    tracemalloc.start()
+    try:
+        with pytest.raises(FileFormatError, match=words):
+            read_bsdf(path)
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
 
 
 def test_what_a_path_is(folder, packed, tmp_path):

@@ -21,8 +21,10 @@ from manifold.colour.conversion import (
     to_xyz,
     xyz_to_srgb,
 )
+from manifold.colour.difference import is_beyond_reflectances
 from manifold.colour.illuminants import illuminant_names
 from manifold.colour.reflectances import (
+    beyond_reflectances,
     diffuse_reflectance,
     diffuse_reflectance_names,
     metal_ior,
@@ -34,6 +36,22 @@ from manifold.io_rgl import rgl_wavelengths_nm
 
 WAVELENGTHS = rgl_wavelengths_nm()
 BANDS = Bands.from_array(WAVELENGTHS)
+
+
+def test_colours_of_reflectances_lie_within_their_solid_and_stronger_ones_do_not():
+    nm = np.arange(380.0, 781.0, 5.0)
+    bands = Bands(tuple(nm.tolist()))
+    for name in ("ohta/red", "ohta/yellow", "ohta/cyan"):
+        assert beyond_reflectances(to_srgb(diffuse_reflectance(name, nm), bands)) < 0.0
+    step = np.where(nm > 580.0, 1.0, 0.0)  # an optimal colour, on the surface of the solid
+    assert abs(beyond_reflectances(to_srgb(step, bands))) < 0.01
+    for lab, is_beyond in (
+        ((40, 500, 3), True),
+        ((75, 60, 90), False),
+        ((50, 20, 10), False),
+        ((0.3, 0.5, -0.4), False),
+    ):
+        assert is_beyond_reflectances(np.array(lab, float)) == is_beyond
 
 
 def test_metal_index_at_a_node_of_the_table_is_the_table_value():

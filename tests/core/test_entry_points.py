@@ -6,12 +6,16 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 from helpers.one_process import run_together, with_packages
 from helpers.paths import REPOSITORY
 from helpers.small_library import small_model
+
+from manifold.fit.exports.targets import Target
+from manifold.registries import TARGETS as TARGETS_OF_PACKAGES
 
 READER = """
 import numpy as np
@@ -212,8 +216,11 @@ np.testing.assert_allclose((T.inverse(t + h) - T.inverse(t - h)) / (2.0 * h), T.
 BROKEN = {
     "import no_such_module": "ModuleNotFoundError: No module named 'no_such_module'",
     "raise SystemExit('no')": "SystemExit: no",
-    "def sniff(head): return True": "AttributeError: module 'broken2' has no attribute 'read'",
+    "def sniff(head): return True": "AttributeError: broken2 has no read",
     "def sniff(head): return head[99999]\ndef read(path): return []": "IndexError",
+    "def sniff(head): raise SystemExit('no')\ndef read(path): return []": "SystemExit: no",
+    "import numpy\ndef sniff(head): return numpy.ones(2)\ndef read(path): return []": "sniff returned ndarray",
+    "def sniff(head): return 'no'\ndef read(path): return []": "sniff returned str, expected bool",
 }
 """Readers of broken packages, and what is said of them."""
 
@@ -237,14 +244,51 @@ def test_broken_packages_are_named_in_a_line_each_and_stop_no_other(work, packag
             assert reason in line
 
 
-def test_a_reader_that_fails_is_named(work, tmp_path):
-    code = "def sniff(head): return head.startswith(b'LAB')\ndef read(path): return {}['x']"
+@pytest.mark.parametrize(
+    ("statement", "reason"),
+    [
+        ("return {}['x']", "KeyError: 'x'"),
+        ("raise OSError('disk')", "OSError: disk"),
+        ("raise SystemExit(0)", "SystemExit: 0"),
+    ],
+)
+def test_a_reader_that_fails_is_named(work, tmp_path, statement, reason):
+    code = f"def sniff(head): return head.startswith(b'LAB')\ndef read(path): {statement}"
     install(tmp_path, "broken-formats", "broken", code, ("formats", "broken log", "broken"))
     done = run(work, tmp_path, "info", "sample.log")
     assert done.returncode == 1
     assert done.stderr == (
-        "manifold: sample.log: the reader of broken log in the package broken-formats failed (KeyError: 'x')\n"
+        f"manifold: sample.log: the reader of broken log in the package broken-formats failed ({reason})\n"
     )
+
+
+@pytest.mark.parametrize(
+    "statement", ["raise ValueError('no')", "raise SystemExit(0)", "raise OSError('no')"]
+)
+def test_a_method_that_fails_is_named(work, tmp_path, statement):
+    code = f"def search(run, X): {statement}"
+    install(tmp_path, "broken-methods", "broken", code, ("methods", "broken", "broken:search"))
+    done = run(work, tmp_path, "embed", "--kind", "gplvm", "--optimizer", "broken", "-M", "never.h5")
+    assert done.returncode == 1
+    assert "the package broken-methods failed (" in done.stderr
+    assert "internal error" not in done.stderr
+
+
+def test_a_target_without_all_attributes_is_left_out(work, tmp_path):
+    code = (
+        "class TARGET: name, suffix, title, entries, parameters, brdf, content = 't', '.t', 't', {}, 0, 0, 0"
+    )
+    install(tmp_path, "broken-targets", "broken", code, ("targets", "broken", "broken:TARGET"))
+    done = run(work, tmp_path, "export", "plain.csv", "-o", "x.t")
+    assert done.returncode == 2
+    assert "the target 'broken' of the package broken-targets is left out" in done.stderr
+    assert "has no base_colour, coat, sheen" in done.stderr
+    assert "internal error" not in done.stderr
+
+
+def test_a_target_must_have_what_a_target_has():
+    named = set(TARGETS_OF_PACKAGES._attributes)
+    assert named == {field.name for field in fields(Target)} | {"brdfs", "defaults"}
 
 
 def test_an_entry_named_as_a_built_in_one_is_left_out(work, tmp_path):
@@ -254,3 +298,19 @@ def test_an_entry_named_as_a_built_in_one_is_left_out(work, tmp_path):
     assert (
         "the format 'MERL' of the package other-merl is left out (another entry has this name)" in done.stderr
     )
+
+
+@pytest.mark.parametrize(
+    ("group", "code", "words"),
+    [
+        ("kernels", "class ENTRY: family, steepest, radial = 'k', 1.0, 0", "has no training, gradient"),
+        ("methods", "ENTRY = 5", "has no __call__"),
+    ],
+)
+def test_an_entry_that_cannot_be_used_is_left_out(work, tmp_path, group, code, words):
+    install(tmp_path, "broken-entries", "broken", code, (group, "broken", "broken:ENTRY"))
+    option = {"kernels": "--kernel", "methods": "--optimizer"}[group]
+    done = run(work, tmp_path, "embed", "--kind", "gplvm", option, "broken", "-M", "never.h5")
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert "internal error" not in done.stderr

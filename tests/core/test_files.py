@@ -13,10 +13,15 @@ import platformdirs
 import pytest
 
 from manifold.colour.colour_science import cached
+from manifold.colour.picture_files import read_picture
 from manifold.core import disk, errors
 from manifold.core.disk import read_text
 from manifold.core.errors import ManifoldError, UsageError
 from manifold.core.names import first_few, printable
+from manifold.formats.registry import identify
+from manifold.io_rgl import read_bsdf
+from manifold.library.identity import file_sha256
+from manifold.library.store import Library
 
 
 def test_a_link_is_followed_and_permissions_are_kept(tmp_path):
@@ -120,3 +125,11 @@ def test_names_are_shown_on_one_line_and_lists_are_cut():
     assert printable("x" * 9, 8) == "xxxxx..."
     assert first_few("abc", 3) == "a, b, c"
     assert first_few("abcde", 3) == "a, b, c and 2 more"
+
+
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+    pipe = tmp_path / "x"
+    os.mkfifo(pipe)
+    for read in (file_sha256, read_bsdf, read_picture, identify, Library):
+        with pytest.raises(ManifoldError, match=r"not a regular file|a file, expected a library"):
+            read(pipe)

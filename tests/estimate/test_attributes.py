@@ -121,6 +121,10 @@ def test_what_was_not_reached_is_said():
     found = Adjusted(Place(np.zeros(2)), None, asked, reached)
     assert [text.split(":")[0] for text in found.shortfalls] == ["gloss at 60 degrees", "colour"]
     assert found.to_json()["reached"]["gloss"] == {"60": 40.0}
+    assert "no reflectance" not in found.shortfalls[1]
+    strong = {"lightness": 51.2, "chroma": 200.0, "hue": 72.0}
+    (said,) = Adjusted(Place(np.zeros(2)), None, strong, strong | {"chroma": 90.0}).shortfalls
+    assert said.endswith("no reflectance has the requested colour, this is the nearest in CIELAB")
 
 
 def test_a_gplvm_takes_gloss_by_the_coat_and_no_colour(run, model, tmp_path):

@@ -72,10 +72,26 @@ def test_a_fit_is_exported_with_its_loss_against_itself(folder, tmp_path):
 
 def test_a_file_that_is_not_named_is_called_after_the_material(folder, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for target, name in ((), "copper.glb"), (("--target", "blender"), "copper.py"):
+    names = {
+        (): "copper.glb",
+        ("--target", "blender"): "copper.py",
+        ("--target", "openpbr"): "copper.mtlx",
+        ("--target", "standard-surface"): "copper_standard-surface.mtlx",
+    }
+    for target, name in names.items():
         result = run("export", folder / "copper_rgb.fit.json", *target)
         assert result.exit_code == 0, result.output
         assert (tmp_path / name).is_file()
+    assert len(list(tmp_path.iterdir())) == len(names)
+
+
+def test_no_two_targets_share_the_name_of_a_file_or_a_picture(tmp_path):
+    for names in (
+        [path.name for path in exporting.paths_for(tmp_path, "x", list(TARGETS.values()))],
+        [exporting.picture_of(tmp_path / f"x{each.file_suffix}", each).name for each in TARGETS.values()],
+    ):
+        assert len(set(names)) == len(TARGETS)
+        assert "x.png" not in names  # of other commands
 
 
 def test_a_fit_against_the_measured_file_says_what_both_models_lose(folder, tmp_path):
@@ -120,7 +136,7 @@ def test_a_measured_file_is_fitted_on_the_way(folder, tmp_path, monkeypatch):
     assert "principled: not a close fit" not in " ".join(result.stdout.split())
     assert "Mitsuba's principled" in result.stdout
     assert "in the lights of the fit" in " ".join(result.stdout.split())
-    assert imread(tmp_path / "x.png").shape[0] > 400
+    assert imread(tmp_path / "x_unreal.png").shape[0] > 400
     content = json.loads((tmp_path / "x.json").read_text())
     assert content["source"]["file"] == "copper_rgb.bsdf"
     assert content["parameters"]["Metallic"] > 0.5
@@ -336,7 +352,7 @@ def test_several_files_or_a_pattern_are_exported_into_a_folder(folder, tmp_path,
     for given in (["a*.fit.json"], ["a1.fit.json", "a2.fit.json"]):
         result = run("export", *given, "--target", "unity", "-o", "out")
         assert result.exit_code == 0, result.output
-        assert {path.name for path in (tmp_path / "out").glob("a*")} == {"a1.json", "a2.json"}
+        assert {path.name for path in (tmp_path / "out").glob("a*")} == {"a1_unity.json", "a2_unity.json"}
     result = run("export", "a1.fit.json", "--target", "unity")
     assert result.exit_code == 0, result.output
     assert (tmp_path / "a1_unity.json").exists()  # a1.json may be another command's
@@ -351,7 +367,7 @@ def test_several_targets_are_drawn_beside_the_material(folder, tmp_path):
     words = ["export", folder / "copper_rgb.fit.json", "--target", "gltf,unity,usd-materialx", "--picture"]
     result = run(*words, "-o", tmp_path, "--json", tmp_path / "r.json")
     assert result.exit_code == 0, result.output
-    height, width = imread(tmp_path / "copper.png").shape[:2]
+    height, width = imread(tmp_path / "copper_exports.png").shape[:2]
     assert width > 1.5 * height
     *_, usd = json.loads((tmp_path / "r.json").read_text())["exports"]
     assert usd["beside"]["target"] == "openpbr"

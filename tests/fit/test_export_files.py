@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 from dataclasses import replace
@@ -382,6 +383,10 @@ def test_names_of_materials_are_identifiers_in_shaders():
     # Two underscores in a row are reserved in GLSL ES.
     for name, expected in (("a <&> b_", "a_b"), ("1 x", "material_1_x"), ("--", "material"), ("a_b", "a_b")):
         assert materialx.identifier(name) == expected
+    names = ["\u7ea2\u6f06", "\u84dd\u6f06", "paint \u7ea2", "paint \u84dd"]  # red and blue paint, in Chinese
+    made = [materialx.identifier(name) for name in names]
+    assert len(set(made)) == len(names)
+    assert all(re.fullmatch(r"(material|paint)_[0-9a-f]{8}", one) for one in made)
 
 
 @pytest.mark.parametrize("name", MATERIALS)

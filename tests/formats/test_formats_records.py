@@ -20,6 +20,19 @@ def readings(**changes):
     return Readings(**(given | {"values": np.arange(24.0).reshape(12, 2)} | changes))
 
 
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ([[0.1], [0.1, 0.2]], "sample: values: rows of different"),
+        ([[0.1j], [0.2]], "values of type complex128"),
+    ],
+)
+def test_values_that_are_no_array_of_real_numbers_are_refused(values, words):
+    w = np.tile([0.0, 0.0, 1.0], (2, 1))
+    with pytest.raises(ShapeError, match=words):
+        Readings("sample", "by hand", w, w, np.array([550.0]), values)
+
+
 def test_ma_t12_directions_are_those_of_its_sheets():
     wi, wo = geometry_ma_t12()
     np.testing.assert_allclose(np.rad2deg(np.arctan2(wo[:, 0], wo[:, 2])), OTHER_LEG_DEG, atol=1e-9)

@@ -21,7 +21,7 @@ from helpers.sample_files import assert_same, assert_same_array, sample_file
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from manifold.core.errors import FileFormatError, ManifoldError, UsageError
+from manifold.core.errors import FileAccessError, FileFormatError, ManifoldError, MissingFileError, UsageError
 from manifold.core.records import Array, BsdfFile
 from manifold.formats.tensor_file import read_tensors, write_tensors
 from manifold.io_rgl import material_name, read_bsdf, write_bsdf
@@ -594,17 +594,31 @@ def test_another_format_is_named(content: bytes, name: str, tmp_path: Path) -> N
     assert re.search(f"found an? .*{name}.*, expected an RGL tensor file", text)
 
 
-def test_missing_empty_and_unreadable_paths_raise_one_error(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "error", "words"),
+    [
+        ("missing.bsdf", MissingFileError, "no such file; expected an RGL tensor file"),
+        ("folder.bsdf", FileAccessError, "not a regular file"),
+        ("pipe.bsdf", FileAccessError, "not a regular file"),  # to open it would block
+        ("empty.bsdf", FileFormatError, "is empty"),
+        ("x" * 300 + ".bsdf", MissingFileError, "no such file"),
+    ],
+)
+def test_missing_empty_and_unreadable_paths_raise_one_error(
+    name: str, error: type[Exception], words: str, tmp_path: Path
+) -> None:
     (tmp_path / "folder.bsdf").mkdir()
     (tmp_path / "empty.bsdf").touch()
-    for name, words in {
-        "missing.bsdf": "No such file",
-        "folder.bsdf": "Is a directory",
-        "empty.bsdf": "is empty",
-        "x" * 300 + ".bsdf": "too long",
-    }.items():
-        with pytest.raises(FileFormatError, match=words):
-            read_bsdf(tmp_path / name)
+    os.mkfifo(tmp_path / "pipe.bsdf")
+    with pytest.raises(error, match=words):
+        read_bsdf(tmp_path / name)
+
+
+def test_bytes_that_belong_to_no_field_are_refused(tmp_path: Path) -> None:
+    write_bsdf(tmp_path / "x.bsdf", small_file())
+    content = (tmp_path / "x.bsdf").read_bytes()
+    assert read_bsdf(content + bytes(4096)).bands.count  # padding to a page
+    assert "bytes that belong to no field" in error_of(tmp_path / "x.bsdf", content + bytes(100_000))
 
 
 # --- Writing is atomic ---

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 from matplotlib.figure import Figure
 
-from manifold.pictures import export_sheet, figures
+from manifold.colour import ball_colours
+from manifold.pictures import figures
 from manifold.render import thumbnails
 
 
@@ -13,5 +14,4 @@ def draw_quickly(patch: pytest.MonkeyPatch) -> None:
     """Balls of few samples, and figures that are not laid out."""
     patch.setattr(figures, "Figure", lambda layout, **given: Figure(**given))
     patch.setattr(thumbnails, "SAMPLES", 4)
-    patch.setattr(export_sheet, "_RINGS", 6)
-    patch.setattr(export_sheet, "_SPOKES", 6)
+    patch.setattr(ball_colours, "DRAWN", (6, 6))

@@ -15,12 +15,12 @@ from helpers.small_library import small_model
 from manifold.analytic.base import Lambert
 from manifold.analytic.virtual_instruments import MA_T12_BANDS, write_ma_t12
 from manifold.cli.main import run as cli
-from manifold.core.errors import ManifoldError, UsageError
+from manifold.core.errors import ManifoldError, MissingFileError, UsageError
 from manifold.estimate.inputs import Input, find_inputs, find_samples
 from manifold.estimate.instruments import calibrate
 from manifold.estimate.sources import FileSource, PlaceSource
 from manifold.library import staging
-from manifold.many.batch import BatchCommand, SheetWarning, _Made, ball_path, batch
+from manifold.many.batch import BatchCommand, SheetWarning, _Made, ball_path, batch, cell
 from manifold.model.colours import ColourChoice
 from manifold.pictures import figures
 
@@ -238,8 +238,14 @@ def test_what_a_file_is_made_of_has_the_content_of_the_reflectance_and_not_its_p
 
     assert made_of((0.1, 0.2, 0.3)) == made_of((0.1, 0.2, 0.3)) != made_of((0.1, 0.2, 0.4))
     spectrum.rename(tmp_path / "moved.txt")
-    with pytest.raises(UsageError, match="expected a reflectance file"):
+    with pytest.raises(MissingFileError, match="no such file"):
         Input("x", PlaceSource(model, "0,0", colour=ColourChoice(reflectance=spectrum))).made_of()
+
+
+def test_cells_of_tables_have_no_exponents_for_small_errors():
+    assert [cell(value) for value in (2.51e-06, -2e-9, 0.0, 0.00214, 1.234, 12.34, None, "a")] == [
+        "0.000", "-0.000", "0", "0.00214", "1.23", "12.3", "", "a"
+    ]  # fmt: skip
 
 
 def test_every_file_of_a_folder_is_a_material(tmp_path, rng):

@@ -105,6 +105,7 @@ def test_bad_rows_are_named_by_their_lines_and_the_others_are_made(model, tmp_pa
     words = ["predict", "--from", table(tmp_path, text), "-M", model, "-o", tmp_path / "out"]
     result = run(*words, "--json", tmp_path / "r.json")
     assert isinstance(result.exception, FileFormatError)
+    assert str(result.exception).startswith(f"{words[2]}: line 5: ")
     made = json.loads((tmp_path / "r.json").read_text())
     assert [row["name"] for row in made["predictions"]] == ["good"]
     assert [words.partition(":")[0] for words in made["failed"]] == [

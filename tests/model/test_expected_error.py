@@ -151,6 +151,9 @@ def test_a_place_that_is_not_supported_has_no_expected_error_in_words(model):
     reason = made.diagnostics[0]
     assert "length scales away; choose a latent nearer" in reason
     assert "error" not in reason  # one answer
+    document = made.to_json()
+    assert (document["expected"], document["expected_in_chosen_colour"]) == (None, None)
+    assert [of(document) for title, of in made.columns().items() if "expected" in title] == [None]
 
 
 def test_the_bound_needs_enough_materials(model):

@@ -346,7 +346,7 @@ def test_a_model_of_another_version_is_refused(model, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("x", "words"),
     [
-        ([0.0], "found 1 coordinates, expected 2"),
+        ([0.0], "found 1 coordinate, expected 2"),
         ([0.0, 0.0, 0.0], "found 3 coordinates, expected 2"),
         ([np.nan, 0.0], "expected finite coordinates"),
         ([np.inf, 0.0], "expected finite coordinates"),

@@ -122,7 +122,7 @@ def test_the_prediction_is_that_of_the_model_in_the_chosen_colour(widget):
     assert np.array_equal(widget.prediction().eval(wi, wo), model.interpolate(*path).eval(wi, wo))
     widget.latent = [0.1, -0.1]  # from Python: it is on no path any more
     assert np.array_equal(widget.prediction().eval(wi, wo), model.predict([0.1, -0.1]).eval(wi, wo))
-    with pytest.raises(LatentError, match="found 1 coordinates"):
+    with pytest.raises(LatentError, match="found 1 coordinate,"):
         widget.latent = [1.0]
 
 

@@ -493,7 +493,7 @@ def test_a_name_is_the_latent_of_its_material(models, rng):
     ("properties", "message"),
     [
         ({}, "no latent; give `latent`"),
-        ({"latent": "0.1"}, "found 1 coordinates"),
+        ({"latent": "0.1"}, "found 1 coordinate,"),
         ({"latent": "a,b"}, "'a,b', expected coordinates such as"),
         ({"latent": "syn_gloss_red:syn_felt_green:0.5"}, "a step of a walk"),
         ({"latent": "0.1,0.2", "tolerance": 50.0}, "expected a share"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
@@ -26,10 +27,21 @@ TURN = ("tangent", "normal", "rotate3d")
 inputs `in` and `axis` of the third."""
 
 
+_HASH_DIGITS = 8
+
+
 def identifier(name: str) -> str:
-    """Return a valid identifier for MaterialX, its shaders and USD; GLSL ES forbids two underscores in a row."""
+    """Return a valid identifier for MaterialX, its shaders and USD; GLSL ES forbids two underscores in a row.
+
+    Names that differ only in characters beyond ASCII get different identifiers, by a hash.
+    """
     made = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
-    return made if re.match(r"[A-Za-z]", made) else f"material_{made}".rstrip("_")
+    if not re.match(r"[A-Za-z]", made):
+        made = f"material_{made}".rstrip("_")
+    if name.isascii():
+        return made
+    content = name.encode(errors="backslashreplace")  # file names may be no valid UTF-8
+    return f"{made}_{hashlib.sha256(content).hexdigest()[:_HASH_DIGITS]}"
 
 
 def mtlx(export: Export) -> bytes:

@@ -82,6 +82,13 @@ class Target:
     caveat: str = ""
 
     @property
+    def file_suffix(self) -> str:
+        """The end of its files' names: the suffix, after the target's name unless the suffix alone selects it."""
+        sharing = [target.name for target in TARGETS.values() if target.suffix == self.suffix]
+        is_selected = self.suffix != ".json" and sharing[:1] in ([], [self.name])
+        return self.suffix if is_selected else f"_{self.name}{self.suffix}"
+
+    @property
     def brdfs(self) -> tuple[Brdf, ...]:
         """Return the BRDFs of all implementations."""
         return tuple(self.implementations.values()) or (self.brdf,)

@@ -159,5 +159,5 @@ def _first(
     raise UsageError(
         f"no representation within {tolerance.milliseconds or 0:g} ms meets a CIEDE2000 of "
         f"{scale * tolerance.delta_e:.3g} in the scene's light; closest is '{best.name}' with "
-        f"{found.delta_e:.2f}; raise either limit"
+        f"{found.delta_e:.3g}; raise either limit"
     )

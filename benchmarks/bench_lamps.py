@@ -236,7 +236,7 @@ def _predicted(picture: Photograph, circle: Circle, lamp: Lamp, model) -> float:
     lit = wo[:, 2] > 1e-3
     made = np.zeros((len(wi), 3))
     made[lit] = model(wi[lit], wo[lit]) * wo[lit, 2:]
-    used = lit & ~picture.is_clipped[rows, columns]
+    used = lit & ~picture.is_clipped[rows, columns].any(axis=1)
     gain = (
         np.sum(np.cbrt(made[used]) * np.cbrt(seen[used])) / max(np.sum(np.cbrt(made[used]) ** 2), 1e-12)
     ) ** 3
@@ -253,7 +253,8 @@ def _analytic(name: str, seen: Sequence[Sighting], scales: Sequence[float]) -> F
         power = light.sum(axis=1).mean(axis=1)
         mean = [np.einsum("ksi,ks->ki", w, light.mean(axis=2)) for w in (a, b)]
         mean = [w / np.maximum(np.linalg.norm(w, axis=1, keepdims=True), 1e-12) for w in mean]
-        used = (mean[1][:, 2] > 0.05) & (mean[0][:, 2] > 0.05) & ~sighting.blocks.is_clipped & (power > 0.02)
+        used = (mean[1][:, 2] > 0.05) & (mean[0][:, 2] > 0.05) & (power > 0.02)
+        used &= ~sighting.blocks.is_clipped.any(axis=1)
         wi.append(mean[0][used])
         wo.append(mean[1][used])
         f.append(np.maximum(scale * sighting.blocks.values[used] / power[used, None], 0.0))

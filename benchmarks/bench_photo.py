@@ -94,7 +94,7 @@ def photograph(linear: Array, shot: Shot) -> Photograph:
     values = np.clip(noisy, 0.0, shot.clip)
     if shot.bits8:
         values = decode_srgb(np.round(255.0 * encode_srgb(values)) / 255.0)
-    return Photograph(Path("render"), values.astype(np.float32), (noisy >= shot.clip).any(axis=2))
+    return Photograph(Path("render"), values.astype(np.float32), noisy >= shot.clip)
 
 
 def sighting(linear: Array, shot: Shot, light: Array) -> Sighting:

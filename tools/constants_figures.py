@@ -228,7 +228,7 @@ def simulated(name: str, gains: Sequence[float]) -> list[Photograph]:
     for direction, gain in zip(LAMPS, gains, strict=True):
         made = gain * noise * lamp_picture(material(name), Camera(), [Lamp.towards(direction)], SIZE, MARGIN)
         coded = np.round(255.0 * np.clip(made, 0.0, 1.0)) / 255.0
-        pictures.append(Photograph(Path("made"), coded.astype(np.float32), (made >= 1.0).any(axis=2)))
+        pictures.append(Photograph(Path("made"), coded.astype(np.float32), made >= 1.0))
     return pictures
 
 

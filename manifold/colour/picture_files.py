@@ -57,8 +57,9 @@ class Image:
         values: linear sRGB, shape (H, W, 3), float32; transparent pixels have the values of the file. Colours that
             the conversion leaves outside sRGB have 0 where they would be negative.
         is_opaque: whether each pixel is not transparent, shape (H, W).
-        is_clipped: whether each pixel may have been brighter than its value, shape (H, W): integers at their largest
-            value, floats if at least four pixels have the largest value, and plateaus if they were searched for.
+        is_clipped: whether each channel of a pixel may have been brighter than its value, shape (H, W, 3): integers at
+            their largest value, floats if at least four pixels have the largest value, and plateaus if they were
+            searched for. All channels of a pixel that was converted from another colour space are clipped if any was.
         is_encoded: whether the file has display values, which were decoded.
         is_certain: whether that follows from the format or was given; a statement of the file may be wrong.
         is_guessed: whether that was guessed, because the file does not say.
@@ -140,6 +141,7 @@ def _read(path: Path, kind: str, is_linear: bool | None, finds_plateaus: bool) -
     values = _linear(codes, coding.curves)
     if space.to_srgb is not None:
         notes += _convert(path, values, space)
+        clipped = _in_every_channel(clipped)
     if 0.0 < (exposure := spec.get_float_attribute("hdr:exposure", 1.0)) < np.inf and exposure != 1.0:
         values /= np.float32(exposure)
     turn = spec.get_int_attribute("Orientation", 1)
@@ -223,13 +225,14 @@ def _read_raw(path: Path, finds_plateaus: bool) -> Image:
             )
     except rawpy.LibRawError as error:
         raise _unreadable(path, str(error)) from error
-    clipped: Mask = np.any(codes >= _RAW_WHITE * _MOST_CODE, axis=2)
+    clipped: Mask = codes >= _RAW_WHITE * _MOST_CODE
     values = (np.asarray(codes) / _MOST_CODE).astype(np.float32)
     notes: tuple[str, ...] = (f"{path.name}: developed with the camera's white balance",)
     if finds_plateaus:
         on_plateau, found = _on_plateaus(path, codes)
         clipped, notes = clipped | on_plateau, found + notes
-    return Image(path, values, np.full(clipped.shape, True), clipped, False, True, False, False, notes)
+    opaque = np.full(clipped.shape[:2], True)
+    return Image(path, values, opaque, _in_every_channel(clipped), False, True, False, False, notes)
 
 
 def _kind(path: Path) -> str:
@@ -359,34 +362,39 @@ def _chunks(path: Path) -> dict[bytes, bytes]:
 
 
 def _clipped(codes: Array, is_float: bool) -> Mask:
-    """Return which pixels of stored codes or floats (H, W, 3) have the largest value, shape (H, W)."""
+    """Return which stored codes or floats (H, W, 3) have the largest value."""
     full = _CODES.get(str(codes.dtype), 1)
     most = np.max(codes, where=np.isfinite(codes), initial=0) if is_float else full
-    clipped: Mask = np.any(np.equal(codes, most), axis=2)
+    clipped: Mask = np.equal(codes, most)
     if is_float:
-        clipped &= np.count_nonzero(clipped) >= _PLATEAU
+        clipped &= np.count_nonzero(clipped.any(axis=2)) >= _PLATEAU
     return clipped
 
 
+def _in_every_channel(clipped: Mask) -> Mask:
+    """Return a mask (H, W, 3) that is set in every channel of the pixels in which it was set in any."""
+    return np.broadcast_to(clipped.any(axis=2, keepdims=True), clipped.shape)
+
+
 def _on_plateaus(path: Path, codes: Array) -> tuple[Mask, tuple[str, ...]]:
-    """Return which pixels of stored codes or floats (H, W, 3) lie on plateaus, shape (H, W), and a note about them."""
+    """Return which stored codes or floats (H, W, 3) lie on plateaus of their channel, and a note about them."""
     full = _CODES.get(str(codes.dtype), 1)
-    found = {}
+    found, clipped = {}, np.zeros(codes.shape, bool)
     for c in range(3):
         if c and np.array_equal(codes[..., c], codes[..., 0]):  # grey
-            continue
-        if (plateau := find_plateau(codes[..., c])) is not None:
-            found["RGB"[c]] = plateau
-    pixels = np.logical_or.reduce([np.zeros(codes.shape[:2], bool), *(one.pixels for one in found.values())])
+            clipped[..., c] = clipped[..., 0]
+        elif (plateau := find_plateau(codes[..., c])) is not None:
+            found["RGB"[c]], clipped[..., c] = plateau, plateau.pixels
     below = [
         f"{name} {one.level / full:.3g}"
         for name, one in found.items()
         if one.level < _FULL * full or full == 1
     ]
     if not below:
-        return pixels, ()
-    return pixels, (
-        f"{path.name}: {np.count_nonzero(pixels)} pixels lie on a plateau ({', '.join(below)} of the largest code) and "
+        return clipped, ()
+    count = np.count_nonzero(clipped.any(axis=2))
+    return clipped, (
+        f"{path.name}: {count} pixels lie on a plateau ({', '.join(below)} of the largest code) and "
         "are treated as clipped: they may have been brighter",
     )
 

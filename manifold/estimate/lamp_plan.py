@@ -134,7 +134,7 @@ def picture_rows(atoms: LibraryAtoms, angle_deg: float) -> list[Observation]:
     x, y = x[inside], y[inside]
     ones: Array = np.ones(len(x))
     places = Blocks(
-        x, y, np.arange(len(x)), 2.0 * _WITHIN / _ACROSS, np.zeros((len(x), 3)), np.zeros(len(x), bool)
+        x, y, np.arange(len(x)), 2.0 * _WITHIN / _ACROSS, np.zeros((len(x), 3)), np.zeros((len(x), 3), bool)
     )
     turn = np.deg2rad(angle_deg)
     lamp = Lamp(np.array([0.0, np.sin(turn), np.cos(turn)]))

@@ -360,9 +360,10 @@ def clipped_spots(photograph: Photograph, circle: Circle) -> tuple[Lamp, ...]:
 
     Their `colour`, relative to a white diffuser that faces them, is that of the clipped values, a lower bound.
     """
-    rows, columns = np.indices(photograph.is_clipped.shape) + 0.5
+    clipped = photograph.is_clipped.any(axis=2)
+    rows, columns = np.indices(clipped.shape) + 0.5
     x, y = (columns - circle.x) / circle.radius, (circle.y - rows) / circle.radius
-    marked, count = label(photograph.is_clipped & (np.hypot(x, y) < _RIM))
+    marked, count = label(clipped & (np.hypot(x, y) < _RIM))
     lamps = []
     for k in range(1, count + 1):
         own = marked == k

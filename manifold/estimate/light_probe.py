@@ -422,7 +422,7 @@ class _Pixels:
                 raise UsageError(f"{one.path}: the ball at {circle} is black, expected a lamp")
             levels.append(level)
             values.append(grey[i, j] / level)
-            clipped.append(one.is_clipped[i, j])
+            clipped.append(one.is_clipped[i, j].any(axis=1))
             seen.append(is_seen[i, j])
         relative = np.array(values)
         dark = _DARK * relative.mean(axis=1, keepdims=True)

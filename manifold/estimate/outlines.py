@@ -42,8 +42,8 @@ class Photograph:
 
     Attributes:
         values: shape (H, W, 3), float32; NaN where the picture is transparent or not finite.
-        is_clipped: whether each pixel is at least as bright as its value, because the camera clipped it, shape (H,
-            W).
+        is_clipped: whether each channel of a pixel is at least as bright as its value, because the camera clipped it,
+            shape (H, W, 3).
         notes: assumptions about the file, in sentences.
         is_encoded: whether the values of the file were decoded as sRGB.
         is_certain: whether that follows from the format or was given; otherwise it may be wrong.
@@ -62,10 +62,10 @@ class Photograph:
         return max(1, max(self.values.shape[:2]) // _SEARCHED)
 
     def reduced(self, factor: int) -> Photograph:
-        """Downsample by `factor`; a block is clipped if any of its pixels is."""
+        """Downsample by `factor`; a channel of a block is clipped if that of any of its pixels is."""
         if factor == 1:
             return self
-        clipped = reduced(self.is_clipped[..., None].astype(np.float32), factor)[..., 0] > 0.0
+        clipped = reduced(self.is_clipped.astype(np.float32), factor) > 0.0
         return replace(self, values=reduced(self.values, factor), is_clipped=clipped)
 
 
@@ -80,9 +80,8 @@ def read_photograph(path: Path, is_linear: bool | None = None) -> Photograph:
     seen: Mask = np.isfinite(picture.values).all(axis=2) & picture.is_opaque
     values = np.where(seen[..., None], picture.values, np.float32(np.nan))
     grey = (f"{path.name}: a grey picture, which does not determine the colour",) * picture.is_grey
-    return Photograph(
-        path, values, picture.is_clipped & seen, picture.notes + grey, picture.is_encoded, picture.is_certain
-    )
+    clipped = picture.is_clipped & seen[..., None]
+    return Photograph(path, values, clipped, picture.notes + grey, picture.is_encoded, picture.is_certain)
 
 
 def reduced(values: Array, factor: int) -> Array:
@@ -187,7 +186,7 @@ def outlines_in(photographs: Sequence[Photograph]) -> list[Outline]:
     if the lamps differ.
     """
     for one in photographs:
-        if not np.any(np.isfinite(one.values).all(axis=2) & ~one.is_clipped):
+        if not np.any(np.isfinite(one.values).all(axis=2) & ~one.is_clipped.any(axis=2)):
             raise UsageError(
                 f"{one.path}: every pixel is clipped, transparent or not finite, expected a ball; expose it less"
             )

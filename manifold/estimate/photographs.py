@@ -48,9 +48,7 @@ def draw_residuals(
     seen, predicted, errors = [], [], []
     for ball, of_picture in zip(balls, material.exposures.tolist(), strict=True):
         crop = _cropped(ball.photograph.values, ball.circle) / known
-        clipped = (
-            _cropped(ball.photograph.is_clipped[..., None].astype(np.float32), ball.circle)[..., 0] > 0.0
-        )
+        clipped = _cropped(ball.photograph.is_clipped.astype(np.float32), ball.circle).max(axis=2) > 0.0
         camera = ball.sighting.camera
         if ball.light is None:
             brdf = MeasuredBRDF(read_bsdf(file))

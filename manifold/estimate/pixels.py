@@ -151,7 +151,8 @@ class Blocks:
         starts: first pixel of each block, shape (K,).
         size: width of a pixel in radii.
         values: mean of every block, shape (K, 3).
-        is_clipped: whether each block is at least as bright as its value, because the camera clipped it, shape (K,).
+        is_clipped: whether each channel of a block is at least as bright as its value, because the camera clipped it,
+            shape (K, 3).
         is_cylinder: whether the blocks show an upright cylinder instead of a ball.
     """
 
@@ -182,14 +183,15 @@ def blocks_of(photograph: Photograph, circle: Circle, pictures: int = 1) -> Bloc
         circle.require_inside(photograph)
     factor = max(1, round(2.0 * circle.radius / _DIAMETER))
     values = reduced(photograph.values, factor)
-    is_clipped = reduced(photograph.is_clipped[..., None].astype(np.float32), factor)[..., 0] > 0.0
+    is_clipped = reduced(photograph.is_clipped.astype(np.float32), factor) > 0.0
     rows, columns = values.shape[:2]
     x = ((np.arange(columns) + 0.5) * factor - circle.x) / circle.radius
     y = (circle.y - (np.arange(rows) + 0.5) * factor) / circle.radius
     x, y = (np.broadcast_to(a, (rows, columns)) for a in (x, y[:, None]))
     inside = circle.contains(x, y, _RIM)
-    clipped = inside & np.isfinite(values).all(axis=2) & is_clipped
-    seen = inside & np.isfinite(values).all(axis=2) & ~is_clipped
+    is_finite = inside & np.isfinite(values).all(axis=2)
+    clipped = is_finite & is_clipped.any(axis=2)
+    seen = is_finite & ~clipped
     if not seen.sum() >= max(_LEAST_SHARE * inside.sum(), 1.0):
         raise UsageError(
             f"{path}: {percent(clipped.sum() / max(inside.sum(), 1))} of the ball at {circle} is clipped and "
@@ -201,7 +203,10 @@ def blocks_of(photograph: Photograph, circle: Circle, pictures: int = 1) -> Bloc
     roots = np.cbrt(np.maximum(values, 0.0))
     most = max(_FEWEST_BLOCKS, min(_MOST_BLOCKS, _MOST_IN_ALL // pictures))
     squares = [(seen, square) for square in _squares(roots, seen, _LARGEST, most)]
-    squares += [(clipped, square) for square in _squares(roots, clipped, _CLIPPED, 0)]
+    channels = is_clipped @ [1, 2, 4]  # a number for each set of clipped channels
+    for k in np.unique(channels[clipped]).tolist():
+        alike = clipped & (channels == k)
+        squares += [(alike, square) for square in _squares(roots, alike, _CLIPPED, 0)]
     parts = [np.argwhere(some[r : r + s, c : c + s]) + np.array([r, c]) for some, (r, c, s) in squares]
     counts = np.array([len(part) for part in parts])
     starts = np.cumsum(counts) - counts

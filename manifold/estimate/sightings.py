@@ -141,7 +141,9 @@ class Sighting:
         """
         counts, blocks = np.sqrt(self.blocks.counts), self.blocks
         channels = range(sums.shape[1])
-        return [Observation(sums[:, c], blocks.values[:, c], counts, blocks.is_clipped) for c in channels]
+        return [
+            Observation(sums[:, c], blocks.values[:, c], counts, blocks.is_clipped[:, c]) for c in channels
+        ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -389,7 +391,7 @@ def _light(name: str, is_linear: bool | None) -> tuple[Array, Environment, tuple
         picture = read_picture(Path(name), is_linear)
         image = np.where(picture.is_opaque[..., None], picture.values, np.nan).astype(float)
         notes = picture.notes
-        count = np.count_nonzero(picture.is_clipped)
+        count = np.count_nonzero(picture.is_clipped.any(axis=2))
         bright = np.count_nonzero(image.max(axis=2) > _BRIGHT * image.max())
         # Lights made by programs have some equal values.
         if count > (0 if picture.is_encoded else 0.5 * bright):

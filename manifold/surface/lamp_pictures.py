@@ -174,7 +174,7 @@ def read_folder(pictures: Sequence[Path], lamps: Path, is_linear: bool | None = 
 
 def _clipped(picture: Image) -> tuple[str, ...]:
     """Return a note about a picture with clipped pixels, whose colours and slopes are not known."""
-    share = float(np.mean(picture.is_clipped))
+    share = float(np.mean(picture.is_clipped.any(axis=2)))
     if share < _FEW_CLIPPED:
         return ()
     return (

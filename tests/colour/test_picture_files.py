@@ -86,6 +86,27 @@ def write_dng(path, rgb, white=4095):
     tifffile.imwrite(path, filtered, photometric=32803, extratags=tags)
 
 
+def test_only_clipped_channels_are_marked_unless_colours_are_converted(tmp_path, codes):
+    codes[3:6, 3:6, 0] = 255
+    Image.fromarray(codes).save(tmp_path / "srgb.png")
+    read = read_picture(tmp_path / "srgb.png")
+    assert np.count_nonzero(read.is_clipped, axis=(0, 1)).tolist() == [9, 0, 0]
+    (tmp_path / "p3.png").write_bytes(with_chunk(codes, b"cICP", bytes([12, 13, 0, 1])))
+    read = read_picture(tmp_path / "p3.png")  # whose green and blue in sRGB depend on the clipped red
+    assert np.count_nonzero(read.is_clipped, axis=(0, 1)).tolist() == [9, 9, 9]
+
+
+def test_plateaus_belong_to_their_channel(tmp_path):
+    y, x = np.mgrid[:128, :128] - 64.0
+    spot = np.exp(-(x**2 + y**2) / 800.0)
+    values = np.stack([np.minimum(spot, 0.5), 0.3 * spot, np.minimum(spot, 0.5)], axis=2)
+    tifffile.imwrite(tmp_path / "spot.tif", np.rint(16383 * values).astype(np.uint16), photometric="rgb")
+    red, green, blue = np.moveaxis(read_picture(tmp_path / "spot.tif", finds_plateaus=True).is_clipped, 2, 0)
+    assert red.sum() > 0.9 * np.count_nonzero(spot > 0.5)
+    assert not green.any()
+    np.testing.assert_array_equal(red, blue)
+
+
 def test_raw_files_are_developed_without_curves(tmp_path):
     y, x = np.mgrid[:64, :96] / 96.0
     rgb = np.stack([0.2 + 0.5 * x, np.full_like(x, 0.3), 0.1 + 0.6 * y], axis=2)

@@ -13,8 +13,10 @@ from manifold.colour.ball_colours import delta_e
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.lights import ENVIRONMENTS, environment
 from manifold.core.errors import UsageError
+from manifold.estimate.lamps import Lamp
 from manifold.estimate.outlines import Circle, Photograph
 from manifold.estimate.pixels import Camera, Environment, block_sums, blocks_of, direction_pairs
+from manifold.estimate.sightings import Sighting
 from manifold.io_rgl import write_bsdf
 from manifold.render.render import render_floating_ball
 
@@ -23,7 +25,7 @@ CIRCLE = Circle(SIZE / 2, SIZE / 2, SIZE / 2 / (1 + MARGIN))
 
 
 def photograph(values):
-    return Photograph(Path("ball.exr"), values.astype(np.float32), np.zeros(values.shape[:2], bool))
+    return Photograph(Path("ball.exr"), values.astype(np.float32), np.zeros(values.shape, bool))
 
 
 @pytest.mark.parametrize(
@@ -103,11 +105,28 @@ def test_clipped_pixels_are_lower_bounds_and_transparent_ones_are_left_out():
     values = np.full((SIZE, SIZE, 3), 0.5)
     values[40:50, 40:50] = 1.0
     values[60:64] = np.nan
-    picture = Photograph(Path("ball.png"), values.astype(np.float32), (values >= 1.0).any(axis=2))
+    picture = Photograph(Path("ball.png"), values.astype(np.float32), values >= 1.0)
     blocks = blocks_of(picture, CIRCLE)
     assert np.allclose(blocks.values[blocks.is_clipped], 1.0)
     assert np.allclose(blocks.values[~blocks.is_clipped], 0.5)
-    assert blocks.counts[blocks.is_clipped].sum() == 100
+    assert blocks.counts[blocks.is_clipped.all(axis=1)].sum() == 100
+
+
+def test_measured_channels_of_clipped_pixels_stay_data():
+    values = np.full((SIZE, SIZE, 3), 0.5)
+    values[40:50, 40:50] = [1.0, 0.7, 0.2]
+    values[44:46, 44:46, 2] = 1.0
+    picture = Photograph(Path("ball.png"), values.astype(np.float32), values >= 1.0)
+    blocks = blocks_of(picture, CIRCLE)
+    counts = [blocks.counts[own].sum() for own in blocks.is_clipped.T]
+    assert counts == [100, 0, 4]
+    only_red = blocks.is_clipped @ [1, 2, 4] == 1
+    assert np.allclose(blocks.values[only_red], [1.0, 0.7, 0.2])
+    sighting = Sighting(blocks, Camera(), (Lamp.towards(np.array([0.0, 0.0, 1.0])),))
+    red, green, blue = sighting.rows(np.zeros((1, 3, len(blocks.values))))
+    assert np.allclose(red.seen[red.is_bound], 1.0)
+    assert np.allclose(blue.seen[blue.is_bound], 1.0)
+    assert not green.is_bound.any()
 
 
 @pytest.mark.parametrize(
@@ -116,7 +135,7 @@ def test_clipped_pixels_are_lower_bounds_and_transparent_ones_are_left_out():
 )
 def test_balls_of_which_nothing_is_seen_are_refused(values, is_clipped, words):
     picture = Photograph(
-        Path("ball.exr"), np.full((SIZE, SIZE, 3), values, np.float32), np.full((SIZE, SIZE), is_clipped)
+        Path("ball.exr"), np.full((SIZE, SIZE, 3), values, np.float32), np.full((SIZE, SIZE, 3), is_clipped)
     )
     with pytest.raises(UsageError, match=words):
         blocks_of(picture, CIRCLE)

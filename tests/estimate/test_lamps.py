@@ -55,7 +55,7 @@ DIRECTIONS = np.array([[0.5, 0.4, 0.8], [-0.6, 0.2, 0.7], [0.1, 0.7, 0.6]])
 def photograph(direction, gain=1.0):
     lamp = Lamp.towards(direction)
     made = gain * lamp_picture(PAINT, Camera(), [lamp], SIZE, MARGIN)
-    clipped = (made > 1.0).any(axis=2)
+    clipped = made > 1.0
     return Photograph(Path("made"), np.minimum(made, 1.0).astype(np.float32), clipped)
 
 
@@ -97,7 +97,7 @@ def test_edges_of_a_disc_are_where_its_pixels_are_half_covered(radius, off):
     y, x = (np.mgrid[: size * fine, : size * fine] + 0.5) / fine
     covered = np.hypot(x - true.x, y - true.y) < radius
     picture = 0.5 * covered.reshape(size, fine, size, fine).mean(axis=(1, 3))
-    disc = Photograph(Path("disc"), np.repeat(picture[..., None], 3, 2), np.zeros((size, size), bool))
+    disc = Photograph(Path("disc"), np.repeat(picture[..., None], 3, 2), np.zeros((size, size, 3), bool))
     start = Circle(true.x, true.y, (1.0 + off) * radius)
     circle, _ = edges_on_limb([disc], start, lamp / np.linalg.norm(lamp), start, 0.1)
     np.testing.assert_allclose([circle.x, circle.y, circle.radius], [true.x, true.y, radius], atol=0.15)
@@ -119,9 +119,7 @@ def test_lamps_are_found_whatever_the_material(brdf, number, limit_deg):
     for direction in directions:
         values = lamp_picture(brdf, Camera(), [Lamp.towards(direction)], SIZE, MARGIN)
         values /= np.quantile(values, 0.995)
-        pictures.append(
-            Photograph(Path("ball"), np.minimum(values, 1.0).astype(np.float32), (values > 1.0).any(axis=2))
-        )
+        pictures.append(Photograph(Path("ball"), np.minimum(values, 1.0).astype(np.float32), values > 1.0))
     found = find_light(pictures)
     for lamp, direction, deviation in zip(found.lamps, directions, found.lamp_deg, strict=True):
         cosine = lamp.direction @ direction / np.linalg.norm(direction)
@@ -136,9 +134,7 @@ def test_the_outline_of_a_black_ball_is_not_that_of_its_highlight(direction, rou
     black = Plastic(GGX.isotropic(roughness), np.array(1.5), np.full(3, 0.01), Bands(None))
     values = lamp_picture(black, Camera(), [Lamp.towards(direction)], 200, 0.5)
     values /= np.quantile(values, 0.995)
-    picture = Photograph(
-        Path("black"), np.minimum(values, 1.0).astype(np.float32), (values > 1.0).any(axis=2)
-    )
+    picture = Photograph(Path("black"), np.minimum(values, 1.0).astype(np.float32), values > 1.0)
     found = find_light([picture])
     assert found.circle.radius == pytest.approx(200 / 3, rel=0.06)
     assert np.hypot(found.circle.x - 100.0, found.circle.y - 100.0) < 4.0
@@ -165,7 +161,7 @@ def stored(brdf, direction, codes_of):
     values = lamp_picture(brdf, Camera(), [Lamp.towards(direction)], SIZE, MARGIN)
     values = np.minimum(values / np.quantile(values, 0.995), 1.0)
     read = decode_srgb(np.round(255.0 * codes_of(values)) / 255.0).astype(np.float32)
-    return Photograph(Path("ball.png"), read, (values >= 1.0).any(axis=2), is_encoded=True)
+    return Photograph(Path("ball.png"), read, values >= 1.0, is_encoded=True)
 
 
 @pytest.mark.parametrize("brdf", [GLOSSY, MATTE])
@@ -243,7 +239,7 @@ def test_near_lamps_are_found_at_their_distance():
         lamp_picture(PAINT, Camera(), [Lamp.towards(d, 4.0)], SIZE, MARGIN).astype(np.float32)
         for d in DIRECTIONS
     ]
-    pictures = [Photograph(Path("near"), np.minimum(one, 1.0), (one > 1.0).any(axis=2)) for one in made]
+    pictures = [Photograph(Path("near"), np.minimum(one, 1.0), one > 1.0) for one in made]
     near, far = (find_light(pictures, CIRCLE, distance) for distance in (4.0, np.inf))
 
     def off(found):
@@ -258,7 +254,7 @@ def test_near_lamps_are_found_at_their_distance():
 
 def test_a_picture_that_no_lamp_explains_is_named():
     stripes = np.broadcast_to((np.arange(SIZE) // 16 % 2)[:, None, None], (SIZE, SIZE, 3)).astype(np.float32)
-    bad = Photograph(Path("bad.png"), stripes, np.zeros((SIZE, SIZE), bool))
+    bad = Photograph(Path("bad.png"), stripes, np.zeros((SIZE, SIZE, 3), bool))
     with pytest.raises(UsageError, match=r"bad\.png: no single lamp explains the ball"):
         find_light([photograph(DIRECTIONS[0]), bad], CIRCLE)
     with pytest.raises(UsageError, match="; add --linear if its values are linear"):
@@ -498,7 +494,7 @@ def test_a_picture_of_another_material_contradicts_the_others(photo_atoms):
     for last, odd in ((PAINT, []), (other, ["c.png"])):
         seen = sightings_of(DIRECTIONS[:2], [1.0, 0.5])
         made = lamp_picture(last, Camera(), [Lamp.towards(DIRECTIONS[2])], SIZE, MARGIN).astype(np.float32)
-        picture = Photograph(Path("c.png"), np.minimum(made, 1.0), (made > 1.0).any(axis=2))
+        picture = Photograph(Path("c.png"), np.minimum(made, 1.0), made > 1.0)
         seen.append(Sighting(blocks_of(picture, CIRCLE), Camera(), (Lamp.towards(DIRECTIONS[2]),)))
         found = Completion.of(photo_atoms, seen, exposure=None, each=True)
         assert len(found.picture_errors) == 3
@@ -595,9 +591,7 @@ def mirror_ball(environment, camera, size=300, most=np.inf):
         (2.0 * normal[..., 2:] * normal - np.array([0.0, 0.0, 1.0])) @ np.array(camera.axes)
     )
     seen = np.where(r2[..., None] < 1.0, seen, 0.02)
-    return Photograph(
-        Path("mirror.png"), np.minimum(seen, most).astype(np.float32), (seen >= most).any(axis=2)
-    ), circle
+    return Photograph(Path("mirror.png"), np.minimum(seen, most).astype(np.float32), seen >= most), circle
 
 
 @pytest.mark.parametrize("elevation", [0.0, 25.0])
@@ -632,7 +626,7 @@ def test_how_bright_clipped_spots_are_is_found_from_the_pixels(photo_atoms, stre
     both = lit + strength * spots
     own = np.array([0, 1, 2]) + 3 * 2  # the third material of an RGB library
     seen = np.array([both[k, c] for c, k in enumerate(own)]).T
-    made = replace(sighting, blocks=replace(blocks, values=seen, is_clipped=np.zeros(len(seen), bool)))
+    made = replace(sighting, blocks=replace(blocks, values=seen, is_clipped=np.zeros(seen.shape, bool)))
     found = strength_of_spots(photo_atoms, [made], [(lit, spots)], 1.0)
     assert found == pytest.approx(strength, rel=0.35)
 
@@ -689,7 +683,7 @@ def photographed_tin(brdf, direction, cylinder=TIN, size=(100, 128)):
     values[lit] = np.pi * brdf.eval(wi[lit], wo[lit]) * wo[lit, 2:]
     picture = np.zeros((*size, 3), np.float32)
     picture[inside] = values
-    return Photograph(Path("tin"), picture, np.zeros(size, bool))
+    return Photograph(Path("tin"), picture, np.zeros((*size, 3), bool))
 
 
 def test_pixels_of_a_tin_are_those_of_a_cylinder():

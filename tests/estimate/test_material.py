@@ -40,9 +40,7 @@ class SummedOnce(Sighting):
 
 def sighting(picture, light, turn_deg=0.0):
     circle = Circle(SIZE / 2, SIZE / 2, SIZE / 2 / (1 + MARGIN))
-    seen = Photograph(
-        Path("ball.exr"), np.minimum(picture, 1.0).astype(np.float32), (picture >= 1.0).any(axis=2)
-    )
+    seen = Photograph(Path("ball.exr"), np.minimum(picture, 1.0).astype(np.float32), picture >= 1.0)
     return SummedOnce(
         blocks_of(seen, circle), Camera(turn_deg, 15.0, 8.0), Environment.of(environment(light, 128))
     )

@@ -285,6 +285,7 @@ def _cache_key(atoms: LibraryAtoms, evidence: Evidence, library: Library) -> str
         pairs = np.round(pairs, 6) + 0.0  # + 0.0: no negative zeros
         arrays.append(pairs[np.lexsort(pairs.T)])
     if evidence.pictures:
+        # The words stand for the definition of residuals: calibrations of pictures alone depend on it.
         axes += (evidence.exposure is None, evidence.has_gains, "residual as given")
     for picture in evidence.pictures:
         for rows in picture:

@@ -1,6 +1,6 @@
 """Checks the values of an RGL file against each other, against other fields, and against physical limits.
 
-Seven comparisons find values that were scaled, swapped or damaged; docs/explanation/rgl-files.md describes them.
+The comparisons find values that were scaled, swapped or damaged; docs/explanation/rgl-files.md describes them.
 """
 
 from __future__ import annotations

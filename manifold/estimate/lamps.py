@@ -126,6 +126,12 @@ def intensities_beside(path: Path) -> Path | None:
     return beside if path.name == _OF_DIRECTIONS and beside.is_file() else None
 
 
+def intensity_notes(path: Path) -> tuple[str, ...]:
+    """Return a note if the lamps of a file have the intensities of another file, see `intensities_beside`."""
+    beside = intensities_beside(path)
+    return () if beside is None else (f"intensities of the lamps from {beside.name}",)
+
+
 def require_in_front(lamps: Sequence[Lamp], pictures: Sequence[str], least: float, of: str) -> None:
     """Raise UsageError that names pictures whose lamps have a z component below `least`; `of` is what they light."""
     names = [

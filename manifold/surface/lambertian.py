@@ -24,14 +24,15 @@ from manifold.surface.response import CODE_NOISE, SLOPE_STD
 _ROUNDS = 6  # of the fit, its noise, its prior and its outliers
 _OUTLIER = 4.0  # standard deviations, beyond which residuals count much less
 _NO_PRIOR = 10.0  # standard deviation of slopes in the first round, which determines the noise
-_STEEPEST = 5.0  # slope of 79 degrees
+_STEEPEST = 5.0  # slope of 79 degrees; points without light have steeper ones
 _UNKNOWNS = 3
 _OF_SEVERAL = 6  # pictures, from which residuals determine the noise of each
 _NOISIER = 4.0  # largest ratio of a picture's noise to that of all, and the inverse of the smallest
 _LEAST_NOISE = 1e-5  # relative; pictures of 16 bits have more
 _TO_STD = 1.4826  # of a median absolute deviation
-_STEEP = 0.999  # quantile of squared slopes; steeper ones are edges, which the prior does not cover
-_LEAST_KEPT = 0.1  # of a slope after shrinking, from which its size is estimated
+_LEAST_KEPT = (
+    0.1  # share of a slope after shrinking, from which its size is estimated; 0 across a row of lamps
+)
 _SAMPLED = 40_000  # points, by which noise and prior are estimated
 _BLOCK = 65_536  # points that are fitted at once
 
@@ -203,8 +204,7 @@ def _std_of_slopes(points: _Points, prior_std: float) -> float:
     is_known = kept > _LEAST_KEPT
     if not is_known.any():
         return prior_std
-    squares = np.minimum(slope**2, np.quantile(slope**2, _STEEP)).mean(axis=0)
-    of_truth = (squares / kept**2 - variance / kept)[is_known]
+    of_truth = (np.mean(slope**2, axis=0) / kept**2 - variance / kept)[is_known]
     return float(np.sqrt(max(float(np.mean(of_truth)), _LEAST_NOISE**2)))
 
 

@@ -87,7 +87,8 @@ def require_one_spectrum(nm: Array, context: ErrorContext, where: str | None = N
 
     Two spectra, one below the other, would become one that goes up and down.
     """
-    steps = np.diff(nm) * np.sign(nm[-1] - nm[0])
+    steps = np.diff(nm)
+    steps = steps * np.sign(steps[:1])
     if np.all(steps > 0.0):
         return
     k = int(np.argmax(steps <= 0.0))

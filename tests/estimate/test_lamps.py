@@ -195,7 +195,10 @@ def test_encoded_pictures_that_are_read_as_linear_are_noted():
     assert any("add --encoded" in note for note in notes)
     pictures = [read_as_linear(stored(MATTE, direction, lambda values: values)) for direction in DIRECTIONS]
     probe = find_light(pictures)
-    assert doubt_encoding(pictures, probe) == (probe, ())
+    found, notes = doubt_encoding(pictures, probe)
+    assert notes == ()
+    # The other encoding is improbable, but not impossible.
+    np.testing.assert_allclose(found.lamp_deg, probe.lamp_deg, rtol=0.01)
 
 
 @pytest.mark.parametrize(

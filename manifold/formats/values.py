@@ -40,7 +40,7 @@ _MOST_BRDF = (
     1.15  # radiance factor of a band away from the mirror direction: of 20 real materials at most 1.02
 )
 _BANDS = 1.0 / 8.0  # share of the bands that tells the unit; fewer may be saturated
-_OVERLAP = 0.5  # share of the smaller range of two parts of a file from which they are two spectra
+_OVERLAP = 0.5  # share of the smaller range of two parts of a file above which they are two spectra
 _FEW = 5  # values; of fewer all must be too bright, and at least two
 _PERCENT_FROM = 2.0  # reflectance factors away from the mirror direction are below this, percentages above
 _PERCENT_ANYWHERE = 30.0  # 15 degrees from it, where these instruments see most, even chrome stays below this
@@ -91,11 +91,13 @@ def require_one_spectrum(nm: Array, context: ErrorContext, where: str | None = N
     overlap by less than half.
     """
     steps = np.diff(nm)
+    if np.all(steps > 0.0) or np.all(steps < 0.0):
+        return
     turns = np.flatnonzero(steps * np.sign(np.median(steps)) <= 0.0) + 1
     ends = [(part.min(), part.max()) for part in np.split(nm, turns)]
     common = [min(a[1], b[1]) - max(a[0], b[0]) for a, b in pairwise(ends)]
     least = [min(a[1] - a[0], b[1] - b[0]) for a, b in pairwise(ends)]
-    k = next((k for k, (c, n) in enumerate(zip(common, least, strict=True)) if c >= _OVERLAP * n), None)
+    k = next((k for k, (c, n) in enumerate(zip(common, least, strict=True)) if c > _OVERLAP * n), None)
     found = None if k is None else f"wavelengths go back from {nm[turns[k] - 1]:g} to {nm[turns[k]]:g} nm"
     ordered = np.sort(nm)
     if (twice := np.flatnonzero(np.diff(ordered) == 0.0)).size and (

@@ -199,7 +199,9 @@ def test_encoded_pictures_that_are_read_as_linear_are_noted():
     assert any("add --encoded" in note for note in notes)
     pictures = [read_as_linear(stored(MATTE, direction, lambda values: values)) for direction in DIRECTIONS]
     probe = find_light(pictures)
-    assert doubt_encoding(pictures, probe) == (probe, ())
+    wider, notes = doubt_encoding(pictures, probe)
+    assert notes == ()
+    assert np.all(np.array(wider.lamp_deg) >= probe.lamp_deg)
 
 
 @pytest.mark.parametrize(
@@ -218,6 +220,9 @@ def test_given_lamps_say_how_pictures_are_encoded(codes_of, read, option):
     picture = read(stored(MATTE, direction, codes_of))
     notes = given_encoding_notes([picture], [CIRCLE], [Lamp.towards(direction)], are_given=True)
     assert [f"add {option}," in note for note in notes] == [True] * (option is not None)
+    beside = Lamp.towards(direction * [0.83, 0.83, 1.0])  # 4.4 degrees off, towards the camera
+    notes = given_encoding_notes([picture], [CIRCLE], [beside], are_given=True)
+    assert [f"add {option}," in note for note in notes] == [True] * (option == "--linear")
     certain = replace(picture, is_certain=True)
     assert given_encoding_notes([certain], [CIRCLE], [Lamp.towards(direction)], are_given=True) == ()
     elsewhere = Lamp.towards(direction * [-1.0, 1.0, 1.0])

@@ -659,7 +659,7 @@ def cost(library: Path) -> None:
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--library", type=Path, help="needed but for --stated")
+    parser.add_argument("--library", type=Path, help="needed except for --stated")
     parser.add_argument("--set", type=Path)
     parser.add_argument("--files", type=Path)
     parser.add_argument("--every", type=int, default=1)

@@ -181,8 +181,8 @@ def export(
         Path | None,
         options.output_option(
             "The file: {manifold.registries.EXPORTS_IN_WORDS}; for many materials, a folder. "
-            "[default: the material's name and the suffix, with _TARGET between them for JSON and for targets that the "
-            "suffix does not select; or exports, or shaders]"
+            "[default: NAME and the suffix, or NAME_TARGET and the suffix for JSON and where the suffix selects "
+            "another target; for many materials the folder exports, or for shaders the folder shaders]"
         ),
     ] = None,
     target: Annotated[

@@ -274,9 +274,9 @@ def encoded_option(panel: str | None = None) -> Any:
 
 
 def are_linear(linear: bool, encoded: bool) -> bool | None:
-    """Return what `--linear` and `--encoded` say about pictures; None without them."""
+    """Return whether `--linear` or `--encoded` is given for pictures, as True or False; None without them."""
     if linear and encoded:
-        raise UsageError("--linear and --encoded, expected one of them")
+        raise UsageError("found --linear and --encoded, expected at most one of them")
     return linear if linear or encoded else None
 
 

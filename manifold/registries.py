@@ -240,28 +240,10 @@ TARGETS: Registry[Any] = Registry(
     },
     group="brdf_manifold.targets",
     attributes=(
-        "name",
-        "suffix",
-        "title",
-        "entries",
-        "parameters",
-        "brdf",
-        "content",
-        "base_colour",
-        "coat",
-        "sheen",
-        "film",
-        "curve",
-        "hued",
-        "textures",
-        "beside",
-        "implementations",
-        "colour_space",
-        "caveat",
-        "brdfs",
-        "defaults",
+        "name", "suffix", "title", "entries", "parameters", "brdf", "content", "base_colour", "coat", "sheen", "film",
+        "curve", "hued", "textures", "beside", "implementations", "colour_space", "caveat", "brdfs", "defaults",
     ),
-)
+)  # fmt: skip
 """Targets of `manifold export`, each a `manifold.fit.exports.targets.Target`."""
 
 CONVERTED_SUFFIXES = {
@@ -318,13 +300,8 @@ KERNELS: Registry[Any] = Registry(
         "matern52": "manifold.gp.kernels:Matern52",
     },
     group="brdf_manifold.kernels",
-    attributes=(
-        "family",
-        "steepest",
-        "radial",
-        "training",
-        "gradient",
-    ),  # the last two are inherited from `Kernel`
+    # The last two are inherited from `Kernel`.
+    attributes=("family", "steepest", "radial", "training", "gradient"),
 )
 """Classes of covariance functions, each a `manifold.gp.kernels.Kernel`."""
 

@@ -1,6 +1,6 @@
 """Checks the values of an RGL file against each other, against other fields, and against physical limits.
 
-Seven comparisons find values that were scaled, swapped or damaged; docs/explanation/rgl-files.md describes them.
+The comparisons find values that were scaled, swapped or damaged; docs/explanation/rgl-files.md describes them.
 """
 
 from __future__ import annotations
@@ -36,7 +36,10 @@ _MOST_WARP_DIFFERENCE = (
     0.03  # total variation from the visible normals (0.005; files written here: 0.08 and more)
 )
 _MOST_AREA_RATIO = 1.25  # of `sigma` to the projected area of `ndf` (1.03; narrow anisotropic files: 1.12)
-_QUADRATURE = 4  # elevations of normals per node of `ndf`
+_QUADRATURE = 4  # polar angles of normals per node of `ndf`
+_LEAST_AZIMUTHS = 64  # of normals; the `ndf` of an isotropic file has two
+_AZIMUTHS = 17  # of views, at which anisotropic files are compared; the database has as many incident ones
+_EVEN = 0.1  # relative: ratios that vary by less are one scale
 _MOST_NODES = 1024  # per axis of `ndf` that the quadrature follows; the database has 128
 _LEAST_EXPLAINED = 0.9  # least share of the cells of several slices that one change explains
 _DARK = 0.01  # albedo, or stored value relative to the median
@@ -315,7 +318,7 @@ def _of_normals(file: BsdfFile) -> list[str]:
     if not np.any(file.ndf):
         return ["the field 'ndf' is zero everywhere, and so is the BRDF"]
     x = np.linspace(0.0, 1.0, min(file.sigma.shape[1], WARP_NODES))
-    y = np.array([0.0]) if file.is_isotropic else np.linspace(0.0, 1.0, 17)
+    y = np.array([0.0]) if file.is_isotropic else np.linspace(0.0, 1.0, _AZIMUTHS)
     at = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     area = _projected_area(file.ndf, from_spherical(u_to_theta(at[:, 0]), u_to_phi(at[:, 1])))
     with np.errstate(divide="ignore"):
@@ -323,7 +326,7 @@ def _of_normals(file: BsdfFile) -> list[str]:
     worst = ratio[np.argmax(np.abs(np.log(ratio)))]
     if 1.0 / _MOST_AREA_RATIO <= worst <= _MOST_AREA_RATIO:
         return []
-    where = "" if np.ptp(ratio) < 0.1 * worst else "up to " if worst > 1.0 else "down to "
+    where = "" if np.ptp(ratio) < _EVEN * worst else "up to " if worst > 1.0 else "down to "
     return [f"the field 'sigma' is {where}{worst:.3g} times the projected area that 'ndf' implies"]
 
 
@@ -333,7 +336,7 @@ def _projected_area(ndf: Array, w: Array) -> Array:
     Source: Dupuy & Jakob 2018, section 4; the midpoint rule on the unit square.
     """
     rows, columns = (min(count, _MOST_NODES) for count in ndf.shape)
-    columns, rows = _QUADRATURE * (columns - 1), max(2 * rows, 64)
+    columns, rows = _QUADRATURE * (columns - 1), max(2 * rows, _LEAST_AZIMUTHS)
     x, y = (np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows
     theta = u_to_theta(x)
     m = from_spherical(theta, u_to_phi(y)[:, None]).reshape(-1, 3)

@@ -35,7 +35,7 @@ _WHITE_PCS = (0.9642, 1.0, 0.8249)  # D50, the white of ICC profiles
 _SAME = 2e-3  # rounding of chromaticities, and of the numbers of profiles, in files of one space
 _SAME_CURVE = 3e-3  # rounding of sampled curves; a gamma of 2.2 is 9e-3 from sRGB's curve
 _LEAST_AREA = 1e-3  # twice the area of the triangle of primaries; 0.22 for sRGB
-_MOST_TAGS = 100
+_MOST_TAGS = 100  # of a profile; those of cameras and displays have some 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,15 +182,14 @@ def _curve(tag: bytes) -> Curve:
             return lambda codes: np.maximum(codes, 0.0) ** exponent
         at = np.linspace(0.0, 1.0, count)
         return lambda codes: np.interp(codes, at, table / 65535.0)
-    (form,) = struct.unpack(">H", tag[8:10])
-    n = (1, 3, 4, 5, 7)[form]
     if kind != b"para":
         raise ValueError("not a curve")
-    g, a, b, c, d, e, f = (*(v / 65536.0 for v in struct.unpack(f">{n}i", tag[12 : 12 + 4 * n])), *[0.0] * 6)[
-        :7
-    ]
+    (form,) = struct.unpack(">H", tag[8:10])
+    n = (1, 3, 4, 5, 7)[form]
+    given = np.array(struct.unpack(f">{n}i", tag[12 : 12 + 4 * n])) / 65536.0
+    g, a, b, c, d, e, f = np.pad(given, (0, 7 - n)).tolist()
     if form == 0:
         a, d = 1.0, -1.0
     elif form in (1, 2):  # zero, or c, below -b / a
-        a, b, c, d, e, f = a, b, 0.0, -b / a if a else np.inf, c, c
+        c, d, e, f = 0.0, -b / a if a else np.inf, c, c
     return lambda codes: np.where(codes >= d, np.maximum(a * codes + b, 0.0) ** g + e, c * codes + f)

@@ -37,15 +37,9 @@ _HEIF = (b"heic", b"heix", b"hevc", b"mif1", b"msf1", b"avif")  # brands behind 
 _SAY_COLOURS = {b"sRGB", b"gAMA", b"cICP", b"cHRM"}  # chunks of PNG, beside the profile
 _UNSPECIFIED = b"\2"  # primaries in cICP, see ITU-T H.273
 _COLOUR_SPACE, _WHITE_POINT, _PRIMARIES = 0xA001, 318, 319  # tags of Exif and TIFF
-_EXIF_SRGB, _EXIF_ADOBE, _ADOBE = (
-    1,
-    2,
-    "R03",
-)  # values of the first, and the interoperability index of Adobe RGB
-_OUTSIDE, _FEW_OUTSIDE = (
-    0.02,
-    0.01,
-)  # how far colours are outside sRGB that count, and the share of pixels that is noted
+_EXIF_SRGB, _EXIF_ADOBE, _ADOBE = 1, 2, "R03"  # values of _COLOUR_SPACE, and the interoperability index
+_OUTSIDE = 0.02  # of its largest channel, how negative a colour's smallest one is that counts as outside sRGB
+_FEW_OUTSIDE = 0.01  # share of the pixels; fewer are not noted
 _FULL = 0.98  # share of the largest code above which a plateau is that of the code
 _PLATEAU = 4  # pixels of the very same largest value may be clipped
 
@@ -134,10 +128,8 @@ def _read(path: Path, kind: str, is_linear: bool | None, finds_plateaus: bool) -
         alpha = stored[..., spec.alpha_channel]
         opaque = alpha >= _CODES.get(str(alpha.dtype), 1.0)
     codes = stored[..., colours]
-    clipped, notes = _clipped(codes, is_float), coding.notes
-    if finds_plateaus:
-        on_plateau, found = _on_plateaus(path, codes)
-        clipped, notes = clipped | on_plateau, found + notes
+    clipped, notes = _with_plateaus(path, codes, _clipped(codes, is_float), finds_plateaus)
+    notes += coding.notes
     values = _linear(codes, coding.curves)
     if space.to_srgb is not None:
         notes += _convert(path, values, space)
@@ -152,11 +144,11 @@ def _read(path: Path, kind: str, is_linear: bool | None, finds_plateaus: bool) -
         _upright(values, turn),
         _upright(opaque, turn),
         _upright(clipped, turn),
-        bool(coding.curves),
-        coding.is_certain,
-        coding.is_guessed,
-        is_grey,
-        notes,
+        is_encoded=bool(coding.curves),
+        is_certain=coding.is_certain,
+        is_guessed=coding.is_guessed,
+        is_grey=is_grey,
+        notes=notes,
     )
 
 
@@ -226,11 +218,12 @@ def _read_raw(path: Path, finds_plateaus: bool) -> Image:
         raise _unreadable(path, str(error)) from error
     clipped: Mask = np.any(codes >= _RAW_WHITE * _MOST_CODE, axis=2)
     values = (np.asarray(codes) / _MOST_CODE).astype(np.float32)
-    notes: tuple[str, ...] = (f"{path.name}: developed with the camera's white balance",)
-    if finds_plateaus:
-        on_plateau, found = _on_plateaus(path, codes)
-        clipped, notes = clipped | on_plateau, found + notes
-    return Image(path, values, np.full(clipped.shape, True), clipped, False, True, False, False, notes)
+    clipped, notes = _with_plateaus(path, codes, clipped, finds_plateaus)
+    notes += (f"{path.name}: developed with the camera's white balance",)
+    return Image(
+        path, values, np.full(clipped.shape, True), clipped,
+        is_encoded=False, is_certain=True, is_guessed=False, is_grey=False, notes=notes,
+    )  # fmt: skip
 
 
 def _kind(path: Path) -> str:
@@ -371,8 +364,12 @@ def _clipped(codes: Array, is_float: bool) -> Mask:
     return clipped
 
 
-def _on_plateaus(path: Path, codes: Array) -> tuple[Mask, tuple[str, ...]]:
-    """Return which pixels of stored codes or floats (H, W, 3) lie on plateaus, shape (H, W), and a note about them."""
+def _with_plateaus(
+    path: Path, codes: Array, clipped: Mask, finds_plateaus: bool
+) -> tuple[Mask, tuple[str, ...]]:
+    """Add the pixels of stored codes or floats (H, W, 3) that lie on plateaus to clipped ones (H, W), with a note."""
+    if not finds_plateaus:
+        return clipped, ()
     full = _CODES.get(str(codes.dtype), 1)
     found = {}
     for c in range(3):
@@ -387,8 +384,8 @@ def _on_plateaus(path: Path, codes: Array) -> tuple[Mask, tuple[str, ...]]:
         if one.level < _FULL * full or full == 1
     ]
     if not below:
-        return pixels, ()
-    return pixels, (
+        return clipped | pixels, ()
+    return clipped | pixels, (
         f"{path.name}: {np.count_nonzero(pixels)} pixels lie on a plateau ({', '.join(below)} of the largest code) and "
         "are treated as clipped: they may have been brighter",
     )

@@ -23,8 +23,11 @@ _FEW = 4  # brighter pixels that sharpening and compression leave
 _OF_BYTES = 257  # of which 16-bit codes are multiples that were eight bits
 _EXACT = 0.9  # share of a plateau's pixels that have the very same value
 _WIDER = 1.1  # least ratio of pixels for which a plateau is taken to be wider
-_NEAR, _LEAST_NEAR, _FAR = 0.12, 2.0, 0.5  # distances from a plateau, relative to its radius, and in pixels
+# Distances from a plateau, in pixels and relative to its radius: just beyond what interpolation of colours mixes, by
+# the third on plateaus of a few pixels; and where its surroundings begin.
+_LEAST_NEAR, _NEAR, _NEAR_SMALL, _FAR = 2.0, 0.12, 0.2, 0.5
 _CUT_OFF = 0.4  # largest share of a plateau's outline on the edge of the picture; of a background one half
+_BRIGHT = 0.75  # quantile of the values just beside a plateau, which noise and dark sides pull down
 _LEAST_FALL = 0.15  # share of the fall from a plateau to its surroundings that is farther away than its edge
 
 
@@ -94,15 +97,14 @@ def _is_background(part: Mask) -> bool:
     """Return whether much of the outline of a part of a picture is the picture's own."""
     inside = np.pad(part, 1)
     around = binary_dilation(inside) & ~inside
-    return bool(
-        np.count_nonzero(around) - np.count_nonzero(around[1:-1, 1:-1]) > _CUT_OFF * np.count_nonzero(around)
-    )
+    count = np.count_nonzero(around)
+    return bool(count - np.count_nonzero(around[1:-1, 1:-1]) > _CUT_OFF * count)
 
 
 def _falls_off(values: Array, plateau: Mask, place: tuple[slice, slice], top: float) -> bool:
     """Return whether values fall off around a plateau, rather than at its edge."""
     radius = float(distance_transform_edt(np.pad(plateau[place], 1)).max())
-    near = min(max(0.2 * radius, 1.0), max(_LEAST_NEAR, _NEAR * radius))
+    near = min(max(_NEAR_SMALL * radius, 1.0), max(_LEAST_NEAR, _NEAR * radius))
     far = max(_LEAST_NEAR + 1.0, _FAR * radius)
     margin = int(far) + 2
     rows, columns = (
@@ -115,4 +117,4 @@ def _falls_off(values: Array, plateau: Mask, place: tuple[slice, slice], top: fl
     if not (len(beside) and len(beyond)):
         return False
     base = float(np.median(beyond))
-    return float(np.quantile(beside, 0.75)) - base >= _LEAST_FALL * (top - base)
+    return float(np.quantile(beside, _BRIGHT)) - base >= _LEAST_FALL * (top - base)

@@ -226,8 +226,8 @@ def _reasons(compared: Readings, f_star: Array) -> list[str]:
 
 def _gaps(source: ConversionSource) -> list[str]:
     """Return notes on readings that are left out, or too sparse for an accurate interpolation."""
-    partial = int(np.sum(~source.nodes.measured.all(axis=1)))
-    notes = [f"{counted(partial, 'direction')} not measured in all bands: left out"] if partial else []
+    left_out = int(np.sum(~source.nodes.measured.all(axis=1)))
+    notes = [f"{counted(left_out, 'direction')} not measured in all bands: left out"] if left_out else []
     theta = np.rad2deg(source.theta_i_rad)
     if theta.size == 1:
         notes.append(

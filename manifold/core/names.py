@@ -67,7 +67,7 @@ def counted(count: int, what: str) -> str:
 
 
 def exceeds(value: float, most: float, digits: int) -> bool:
-    """Return whether a value exceeds a limit if it is printed with a number of decimal digits.
+    """Return whether a value exceeds a limit once it is rounded to the number of decimal digits that are printed.
 
     >>> exceeds(1.04, 1.0, 1), exceeds(1.06, 1.0, 1)
     (False, True)

@@ -88,9 +88,10 @@ class Calibration:
 
         They are its plausible errors times factors, see `_factor`. If the residual is larger than the residual of
         every left-out material, the errors grow in proportion to it. If readings and pictures contradict each other,
-        the factors are those of left-out materials with residuals of contradictions. The ball error also includes the
-        uncertainty of colours that were estimated from three bands or that repeated readings leave open. No error is
-        smaller than the median error with which the other readings predict each reading, if `left_out` is given.
+        the factors come from the left-out materials whose residuals are as large as those of contradictions, if there
+        are any. The ball error also includes the uncertainty of colours that were estimated from three bands or that
+        repeated readings leave open. No error is smaller than the median error with which the other readings predict
+        each reading, if `left_out` is given.
         """
         known = np.full(len(self.residuals), True)
         if completion.solution.contradiction > CONTRADICTION and np.any(self.residuals > CONTRADICTION):
@@ -100,10 +101,6 @@ class Calibration:
             found = replace(found, scaled_ball=np.nan)
         found = found.beside(Errors(ball=completion.colour_error))
         return found if left_out is None else found.at_least(left_out.typical)
-
-    def at(self, plausible: Errors[float], residual: float) -> Errors[float]:
-        """Return the expected errors for given plausible errors and a residual."""
-        return self._at(plausible, residual, np.ones(len(self.residuals), bool))
 
     def notes(self, completion: Completion) -> tuple[str, ...]:
         """Return a note if the residual exceeds that of every left-out material and what noise can explain."""
@@ -285,6 +282,7 @@ def _cache_key(atoms: LibraryAtoms, evidence: Evidence, library: Library) -> str
         pairs = np.round(pairs, 6) + 0.0  # + 0.0: no negative zeros
         arrays.append(pairs[np.lexsort(pairs.T)])
     if evidence.pictures:
+        # The words stand for the definition of residuals: calibrations of pictures alone depend on it.
         axes += (evidence.exposure is None, evidence.has_gains, "residual as given")
     for picture in evidence.pictures:
         for rows in picture:

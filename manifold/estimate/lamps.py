@@ -112,11 +112,8 @@ def parse_lamp(text: str, pictures: Sequence[str] = ()) -> list[Lamp]:
 _EXPECTED = "expected X Y Z, and one intensity or three, with the picture's name before them if it has one"
 _AXES, _INTENSITIES = ("x", "y", "z"), ("r", "g", "b")
 _OF_PICTURE = ("name", "file", "filename", "picture", "image")
-_FILE_OF_DIRECTIONS, _OF_INTENSITIES, _OF_NAMES = (
-    "light_directions.txt",
-    "light_intensities.txt",
-    "filenames.txt",
-)
+# Files of data sets laid out as DiLiGenT.
+_OF_DIRECTIONS, _OF_INTENSITIES, _OF_NAMES = "light_directions.txt", "light_intensities.txt", "filenames.txt"
 
 
 def intensities_beside(path: Path) -> Path | None:
@@ -126,7 +123,13 @@ def intensities_beside(path: Path) -> Path | None:
     Stereo".
     """
     beside = path.with_name(_OF_INTENSITIES)
-    return beside if path.name == _FILE_OF_DIRECTIONS and beside.is_file() else None
+    return beside if path.name == _OF_DIRECTIONS and beside.is_file() else None
+
+
+def intensity_notes(path: Path) -> tuple[str, ...]:
+    """Return a note if the lamps of a file have the intensities of another file, see `intensities_beside`."""
+    beside = intensities_beside(path)
+    return () if beside is None else (f"intensities of the lamps from {beside.name}",)
 
 
 def require_in_front(lamps: Sequence[Lamp], pictures: Sequence[str], least: float, of: str) -> None:
@@ -160,7 +163,7 @@ def read_lamps(
         rows = _intensities(beside, len(lamps))
         lamps = {name: lamp.of_intensity(row) for (name, lamp), row in zip(lamps.items(), rows, strict=True)}
     names = path.with_name(_OF_NAMES)
-    if path.name == _FILE_OF_DIRECTIONS and names.is_file() and not is_named:
+    if path.name == _OF_DIRECTIONS and names.is_file() and not is_named:
         listed = [_picture_name(line) for _, line in _lines(names, advice)]
         if len(set(listed)) != len(lamps):
             raise FileFormatError(

@@ -34,9 +34,8 @@ _NOISE = 0.03  # error of cube roots, relative to the picture's largest, from wh
 _LEAST_NOISE = 0.005  # of the smoothest materials
 _ROBUST = 2.0  # residuals, in units of that, that count less than in proportion
 _LARGEST_RESIDUAL = 0.12  # relative error of cube roots beyond which no lamp explains a picture
-_MODEL_DEG = (
-    2.5  # error of the shading model: on a real ball 0 against a mirror ball's lamps, 2.9 against stated ones
-)
+# Error of the shading model: on a real ball 0 against a mirror ball's lamps, 2.9 against stated ones.
+_MODEL_DEG = 2.5
 _TOGETHER = 12  # pictures that are fitted together; of more, some evenly spaced
 _DOUBTED_DEG = 10.0  # least doubtful angle; lamps are found within 7 degrees in pictures of a matte ball
 _WELL_EXPLAINED = 0.035  # largest residual of pictures that are explained well
@@ -45,12 +44,9 @@ _CLEARLY_OF_FEW = 2.5  # the same of one or two pictures: at most 2.1 in single 
 _DOUBTFUL = 2.0  # ratio of these residuals at which both encodings are about equally probable
 _SURE_DEG = 3.0  # of a coarse estimate, within which given lamps confirm how pictures were read
 _NEAR_DEG = 5.0  # within which given lamps confirm the other encoding; they are measured to some 4 degrees
-_FOUND_DEG = (
-    7.0  # the same, if the residual confirms it too: so far off are lamps found in a picture of a matte ball
-)
-_NEARER_DEG = (
-    5.0  # by which it is at least nearer to them; correct lamps are 3 to 14 degrees off in the wrong one
-)
+# The same if the residual confirms it too: so far off are lamps found in a picture of a matte ball.
+_FOUND_DEG = 7.0
+_NEARER_DEG = 5.0  # by which it is at least nearer; the wrong one is 3 to 14 degrees off correct lamps
 _SMALLER = 1.2  # least ratio of residuals at which angles below the doubtful one are believed
 _MOST_RESIDUAL = 0.3  # of a ball whose encoding is in doubt
 _OF_ENCODING = 3  # pictures in which encodings are compared; of more, some evenly spaced
@@ -252,13 +248,16 @@ def _read_otherwise(photographs: Sequence[Photograph]) -> list[Photograph] | Non
 
 def _advice(photograph: Photograph, before: str, after: str) -> Assumption:
     """Return the advice to read photographs otherwise, which explains the ball better."""
-    read, other, option = (
-        ("sRGB", "linear", "--linear") if photograph.is_encoded else ("linear", "sRGB", "--encoded")
-    )
+    read, other, option = _encodings(photograph)
     return Assumption(
         f"the pictures were read as {read}, and {before}; read as {other}, {after}: if their values are {other}, add "
         f"{option}, else the lamps are wrong"
     )
+
+
+def _encodings(photograph: Photograph) -> tuple[str, str, str]:
+    """Return how a photograph was read, how else it may be read, and the option for that."""
+    return ("sRGB", "linear", "--linear") if photograph.is_encoded else ("linear", "sRGB", "--encoded")
 
 
 def _coarse_probe(photograph: Photograph, circle: Circle, most_residual: float = _LARGEST_RESIDUAL) -> Probe:
@@ -614,17 +613,12 @@ class _Pixels:
         names = [one.path.name for one in photographs]
         lost = [name for name, one in zip(names, residual, strict=True) if one > most_residual]
         if lost:
-            hints = [
-                "; add --linear if its values are linear"
-                if one.is_encoded
-                else "; add --encoded if its values are sRGB"
-                for one in photographs
-                if not one.is_certain
-            ]
+            doubted = next((one for one in photographs if not one.is_certain), None)
+            hint = "" if doubted is None else "; add {2} if its values are {1}".format(*_encodings(doubted))
             raise UsageError(
                 f"{', '.join(lost)}: no single lamp explains the ball (residual {percent(residual.max())}, expected at "
                 f"most {percent(most_residual)}); give its --circle, or the lamp by --lamp X,Y,Z or the light "
-                "by --light" + "".join(hints[:1])
+                f"by --light{hint}"
             )
         covariance = np.linalg.pinv(fit.curvature)
         deviation = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))

@@ -22,7 +22,7 @@ from manifold.estimate.lamps import (
     MOST_DISTANCE,
     Lamp,
     clipped_spots,
-    intensities_beside,
+    intensity_notes,
     lamp_pairs,
     parse_lamp,
     require_in_front,
@@ -242,11 +242,7 @@ def _under_lamps(
         given = [lamp for text in request.lamps for lamp in parse_lamp(text, names)]
         lamps = _for_each(len(photographs), given, "lamps")
         require_in_front(lamps, names, 0.0, "the ball")
-        notes += tuple(
-            f"intensities of the lamps from {beside.name}"
-            for text in request.lamps
-            if (beside := intensities_beside(Path(text))) is not None
-        )
+        notes += tuple(note for text in request.lamps for note in intensity_notes(Path(text)))
         if is_common:
             outlines = [_outline_of(photographs, circles[0])] * len(photographs)
         else:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from manifold.core.directions import cos_from_mirror
+from manifold.core.directions import is_near_mirror
 from manifold.core.names import percent
 from manifold.core.records import Array
 from manifold.formats.dense import DenseTable
@@ -14,29 +14,30 @@ from manifold.formats.light_side import with_light_side_note
 from manifold.formats.readings import Assumption, Readings
 from manifold.formats.values import is_diffuse, is_too_bright
 
-_MANY_NEGATIVE = 0.3  # of the values
-_LARGE_NEGATIVE = 0.1  # of the sum of sizes, away from the mirror direction
-_NEAR_MIRROR = np.cos(np.deg2rad(10.0))
-_DARK = 0.5  # of the brightness elsewhere, near the mirror direction: at least 1.08 for 20 real materials
-_RADIANS = np.deg2rad(0.5 * np.pi + 0.03)  # a right angle in radians, read as degrees, and its rounding
+_MANY_NEGATIVE = 0.3  # share of the values; noise of one dark band among three makes a sixth negative
+_LARGE_NEGATIVE = 0.1  # share of the sum of sizes away from the mirror direction, where noise is far smaller
+# Least brightness near the mirror direction, relative to that elsewhere; 1.08 and more in 20 real materials.
+_DARK = 0.5
+# In radians: a right angle, whose number in radians was read as degrees, and its rounding.
+_STEEPEST = np.deg2rad(0.5 * np.pi + 0.03)
 
 
 def with_doubts(record: Readings | DenseTable) -> Readings | DenseTable:
-    """Return the record with notes on negative values, a dark mirror direction, and directions along the normal."""
+    """Return the record with notes on negative or too bright values, a dark mirror direction, and angles in radians."""
     values = record.values.reshape(-1, record.values.shape[-1])
     if record.bands.is_rgb:  # single channels of colours outside sRGB are negative
         values = values.mean(axis=1, keepdims=True)
     if isinstance(record, DenseTable):
         return replace(record, notes=(*record.notes, *_on_negative(values, 0.0)))
-    near = cos_from_mirror(record.wi, record.wo) > _NEAR_MIRROR
+    near = is_near_mirror(record.wi, record.wo)
     off = np.nan_to_num(values[~near])
     large = float(np.maximum(-off, 0.0).sum() / max(np.abs(off).sum(), np.finfo(float).tiny))
     notes = _on_negative(values, large)
-    elevation = float(np.arccos(np.clip(min(record.wi[:, 2].min(), record.wo[:, 2].min()), 0.0, 1.0)))
-    if 0.0 < elevation < _RADIANS:
+    theta = float(np.arccos(np.clip(min(record.wi[:, 2].min(), record.wo[:, 2].min()), 0.0, 1.0)))
+    if 0.0 < theta < _STEEPEST:
         notes.append(
             Assumption(
-                f"all directions are within {np.rad2deg(elevation):.3g} degrees of the normal: are the angles radians?"
+                f"all directions are within {np.rad2deg(theta):.3g} degrees of the normal: are the angles radians?"
             )
         )
     median = np.median(record.values, axis=1, keepdims=True)

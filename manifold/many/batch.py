@@ -288,9 +288,9 @@ def _within(folder: Path, path: Path) -> str:
 
 
 def cell(value: Any) -> str:
-    """Return a value as a cell of a table, to three digits, but at most three decimal places."""
+    """Return a value as a cell of a table, to three digits; numbers below 0.001 to three decimal places."""
     if isinstance(value, float):
-        return f"{value:.3g}" if value == 0.0 or not abs(value) < 1e-3 else f"{value:.3f}"
+        return f"{value:z.3f}" if 0.0 < abs(value) < 1e-3 else f"{value:.3g}"
     return "" if value is None else str(value)
 
 

@@ -213,7 +213,7 @@ def compare(
     """Compare two pictures, or the renders of two materials, and draw maps of their difference.
 
     Linear pictures are tone-mapped first, so values brighter than the display are compressed. `is_linear` says whether
-    pictures are linear or encoded; by default they are read as they say.
+    pictures are linear or encoded; by default the files decide.
 
     Raises:
         UsageError: one is a material and the other a picture, or the figure cannot be written.

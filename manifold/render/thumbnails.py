@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from functools import cache
+from collections.abc import Callable
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -38,16 +39,22 @@ def of_materials(model: Manifold) -> list[Array]:
 
 def of_material(material: BRDF | BsdfFile) -> Array:
     """Render a material as a ball under the studio's light, RGBA in [0, 1], (H, W, 4), transparent around it."""
-    backend.imported()
-    with backend.one_thread():  # or sums of pixels that two threads share differ by rounding from run to run
-        return _cut_out(render_material(material, _settings()))
+    return _drawn(partial(render_material, material))
 
 
 def of_file(path: Path) -> Array:
     """Render a measured file, or the JSON of a fit, as `of_material` does."""
+    return _drawn(read_material(path).render)
+
+
+def _drawn(render: Callable[[RenderSettings], Array]) -> Array:
+    """Return a ball, transparent around it, that is equal in every run.
+
+    With several threads, pixels that two of them share would differ by rounding.
+    """
     backend.imported()
     with backend.one_thread():
-        return _cut_out(read_material(path).render(_settings()))
+        return _cut_out(render(_settings()))
 
 
 def write(path: Path, image: Array) -> None:

@@ -24,14 +24,15 @@ from manifold.surface.response import CODE_NOISE, SLOPE_STD
 _ROUNDS = 6  # of the fit, its noise, its prior and its outliers
 _OUTLIER = 4.0  # standard deviations, beyond which residuals count much less
 _NO_PRIOR = 10.0  # standard deviation of slopes in the first round, which determines the noise
-_STEEPEST = 5.0  # slope of 79 degrees
+_STEEPEST = 5.0  # slope of 79 degrees; points without light have steeper ones
 _UNKNOWNS = 3
 _OF_SEVERAL = 6  # pictures, from which residuals determine the noise of each
 _NOISIER = 4.0  # largest ratio of a picture's noise to that of all, and the inverse of the smallest
 _LEAST_NOISE = 1e-5  # relative; pictures of 16 bits have more
 _TO_STD = 1.4826  # of a median absolute deviation
-_STEEP = 0.999  # quantile of squared slopes; steeper ones are edges, which the prior does not cover
-_LEAST_KEPT = 0.1  # of a slope after shrinking, from which its size is estimated
+_LEAST_KEPT = (
+    0.1  # share of a slope after shrinking, from which its size is estimated; 0 across a row of lamps
+)
 _SAMPLED = 40_000  # points, by which noise and prior are estimated
 _BLOCK = 65_536  # points that are fitted at once
 
@@ -74,15 +75,13 @@ def fit_lambertian(pictures: SurfacePictures) -> LambertianFit:
         relative = _relative(values[:, part], means)
         weights: Array = np.ones(relative.shape[:2])
         for spread in rounds:
-            grey = relative @ spread.of_channel
-            level, slope[part], covariance = _solve(grey, design, weights, spread)
-            shading = 1.0 + slope[part] @ design[:, 1:].T
-            weights = _trust(grey / level[:, None] - shading, spread.noise)
-        shading = np.maximum(shading, 0.0)
-        albedo[part] = _colours(relative, shading, weights / spread.noise**2)
-        variance += np.diagonal(covariance, axis1=1, axis2=2)[:, 1:].sum(axis=0)
-        fitted = level[:, None] * np.maximum(shading, TINY)
-        residual[:, part] = np.log(np.maximum(grey, TINY) / fitted).T
+            points = _solve(relative, design, weights, spread)
+            weights = _trust(points.off, spread.noise)
+        slope[part] = points.slope
+        albedo[part] = _colours(relative, points.shading, weights / spread.noise**2)
+        variance += points.slope_variance.sum(axis=0)
+        fitted = points.level[:, None] * np.maximum(points.shading, TINY)
+        residual[:, part] = np.log(np.maximum(points.grey, TINY) / fitted).T
     albedo *= np.sqrt(1.0 + np.sum(slope**2, axis=1, keepdims=True))
     return LambertianFit(
         albedo.reshape(H, W, 3),
@@ -123,35 +122,58 @@ def _rounds(relative: Array, design: Array, noise: Array) -> list[_Spread]:
     rounds = [_Spread(noise, _NO_PRIOR, np.full(3, 1.0 / 3.0))]
     while len(rounds) < _ROUNDS:
         spread = rounds[-1]
-        grey = relative @ spread.of_channel
-        level, slope, covariance = _solve(grey, design, weights, spread)
-        shading = 1.0 + slope @ design[:, 1:].T
-        off = grey / level[:, None] - shading
-        variance = np.diagonal(covariance, axis1=1, axis2=2)[:, 1:].mean(axis=0)
-        weights = _trust(off, spread.noise)
-        shading = np.maximum(shading, 0.0)
-        colour = _colours(relative, shading, weights / spread.noise**2)
+        points = _solve(relative, design, weights, spread)
+        weights = _trust(points.off, spread.noise)
+        colour = _colours(relative, points.shading, weights / spread.noise**2)
         rounds.append(
             _Spread(
-                _noise_of(off, design, covariance, spread.noise) if len(noise) > _UNKNOWNS else noise,
+                _noise_of(points, design, spread.noise) if len(noise) > _UNKNOWNS else noise,
                 # Not in the first round, whose noise is a guess.
-                _std_of_slopes(slope, variance, spread.prior_std) if len(rounds) > 1 else SLOPE_STD,
-                _channel_weights(relative, colour, shading),
+                _std_of_slopes(points, spread.prior_std) if len(rounds) > 1 else SLOPE_STD,
+                _channel_weights(relative, colour, points.shading),
             )
         )
     return rounds
 
 
-def _solve(grey: Array, design: Array, weights: Array, spread: _Spread) -> tuple[Array, Array, Array]:
-    """Return A (P,), slopes (P, 2), and the covariance of A and A slope relative to A, (P, 3, 3)."""
-    noise, prior_std, _ = spread
+class _Points(NamedTuple):
+    """P points that are fitted to J pictures.
+
+    Attributes:
+        grey: brightness, the weighted mean of the channels, shape (P, J).
+        level: A, shape (P,).
+        slope: shape (P, 2).
+        covariance: covariance of A and A slope, relative to A, shape (P, 3, 3).
+        off: brightness over A, less the fitted shading, shape (P, J).
+        shading: fitted brightness over A, never negative, shape (P, J).
+    """
+
+    grey: Array
+    level: Array
+    slope: Array
+    covariance: Array
+    off: Array
+    shading: Array
+
+    @property
+    def slope_variance(self) -> Array:
+        """Return the variances of both components of the slopes, shape (P, 2)."""
+        return np.diagonal(self.covariance, axis1=1, axis2=2)[:, 1:]
+
+
+def _solve(relative: Array, design: Array, weights: Array, spread: _Spread) -> _Points:
+    """Fit points to values (P, J, 3) with weights (P, J)."""
+    noise, prior_std, of_channel = spread
+    grey = relative @ of_channel
     products = (design[:, :, None] * design[:, None, :] / noise[:, None, None] ** 2).reshape(len(design), 9)
     prior = np.diag([0.0, prior_std**-2, prior_std**-2])
     covariance = np.linalg.inv((weights @ products).reshape(-1, 3, 3) + prior)
     right = (weights * grey) @ (design / noise[:, None] ** 2)
     fitted = np.einsum("pkl,pl->pk", covariance, right)
     level = np.maximum(fitted[:, 0], TINY)
-    return level, np.clip(fitted[:, 1:] / level[:, None], -_STEEPEST, _STEEPEST), covariance
+    slope = np.clip(fitted[:, 1:] / level[:, None], -_STEEPEST, _STEEPEST)
+    shading = 1.0 + slope @ design[:, 1:].T
+    return _Points(grey, level, slope, covariance, grey / level[:, None] - shading, np.maximum(shading, 0.0))
 
 
 def _colours(relative: Array, shading: Array, weights: Array) -> Array:
@@ -161,10 +183,10 @@ def _colours(relative: Array, shading: Array, weights: Array) -> Array:
     return np.maximum(np.einsum("pj,pjc->pc", lit, relative) / total, TINY)
 
 
-def _noise_of(off: Array, design: Array, covariance: Array, noise: Array) -> Array:
-    """Return the noise of the pictures (J,) from their relative residuals (P, J), by the degrees of freedom left."""
-    leverage = np.einsum("jk,kl,jl->j", design, covariance.mean(axis=0), design) / noise**2
-    spread = _TO_STD * np.median(np.abs(off), axis=0)
+def _noise_of(points: _Points, design: Array, noise: Array) -> Array:
+    """Return the noise of the pictures (J,) from their residuals, by the degrees of freedom left."""
+    leverage = np.einsum("jk,kl,jl->j", design, points.covariance.mean(axis=0), design) / noise**2
+    spread = _TO_STD * np.median(np.abs(points.off), axis=0)
     common = float(np.sqrt(np.mean(spread**2) / max(1.0 - float(leverage.mean()), TINY)))
     if len(noise) < _OF_SEVERAL:
         return np.full(len(noise), max(common, _LEAST_NOISE))
@@ -172,17 +194,17 @@ def _noise_of(off: Array, design: Array, covariance: Array, noise: Array) -> Arr
     return np.maximum(np.clip(own, common / _NOISIER, common * _NOISIER), _LEAST_NOISE)
 
 
-def _std_of_slopes(slope: Array, variance: Array, prior_std: float) -> float:
-    """Return the standard deviation of slopes without noise, from fitted ones (P, 2) and their variances (2,).
+def _std_of_slopes(points: _Points, prior_std: float) -> float:
+    """Return the standard deviation of slopes without noise, from fitted ones and their variances.
 
     A prior shrinks a slope by the factor 1 - variance / prior variance, and its noise alike.
     """
+    slope, variance = points.slope, points.slope_variance.mean(axis=0)
     kept = 1.0 - variance / prior_std**2
     is_known = kept > _LEAST_KEPT
     if not is_known.any():
         return prior_std
-    squares = np.minimum(slope**2, np.quantile(slope**2, _STEEP)).mean(axis=0)
-    of_truth = (squares / kept**2 - variance / kept)[is_known]
+    of_truth = (np.mean(slope**2, axis=0) / kept**2 - variance / kept)[is_known]
     return float(np.sqrt(max(float(np.mean(of_truth)), _LEAST_NOISE**2)))
 
 

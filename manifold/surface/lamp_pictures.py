@@ -15,7 +15,7 @@ from manifold.core.defaults import TINY
 from manifold.core.errors import FileFormatError, UsageError
 from manifold.core.names import percent
 from manifold.core.records import Array, Mask
-from manifold.estimate.lamps import intensities_beside, read_lamps, require_in_front
+from manifold.estimate.lamps import intensities_beside, intensity_notes, read_lamps, require_in_front
 from manifold.estimate.picture_colours import colour_of, odd_picture, reading_at
 from manifold.formats.readings import Readings
 from manifold.formats.workbook_pictures import picture_directions, picture_geometry, picture_values
@@ -165,7 +165,7 @@ def read_folder(pictures: Sequence[Path], lamps: Path, is_linear: bool | None = 
         np.array([0.0, 0.0, 1.0]), names, np.full((len(found), 3), np.nan),
         (
             "no readings: colours are relative to the brightest points, slopes as steep as a Lambertian's would be",
-            *(() if beside is None else (f"intensities of the lamps from {beside.name}",)),
+            *intensity_notes(lamps),
             *notes_together(told),
         ),
         (*pictures, lamps, *(() if beside is None else (beside,))),

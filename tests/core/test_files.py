@@ -19,7 +19,6 @@ from manifold.core.disk import read_text
 from manifold.core.errors import ManifoldError, UsageError
 from manifold.core.names import first_few, printable
 from manifold.formats.registry import identify
-from manifold.io_rgl import read_bsdf
 from manifold.library.identity import file_sha256
 from manifold.library.store import Library
 
@@ -130,6 +129,6 @@ def test_names_are_shown_on_one_line_and_lists_are_cut():
 def test_a_pipe_is_refused_and_not_waited_for(tmp_path: Path) -> None:
     pipe = tmp_path / "x"
     os.mkfifo(pipe)
-    for read in (file_sha256, read_bsdf, read_picture, identify, Library):
+    for read in (file_sha256, read_picture, identify, Library):
         with pytest.raises(ManifoldError, match=r"not a regular file|a file, expected a library"):
             read(pipe)

@@ -199,9 +199,10 @@ def test_encoded_pictures_that_are_read_as_linear_are_noted():
     assert any("add --encoded" in note for note in notes)
     pictures = [read_as_linear(stored(MATTE, direction, lambda values: values)) for direction in DIRECTIONS]
     probe = find_light(pictures)
-    wider, notes = doubt_encoding(pictures, probe)
+    found, notes = doubt_encoding(pictures, probe)
     assert notes == ()
-    assert np.all(np.array(wider.lamp_deg) >= probe.lamp_deg)
+    # The other encoding is improbable, but not impossible.
+    np.testing.assert_allclose(found.lamp_deg, probe.lamp_deg, rtol=0.01)
 
 
 @pytest.mark.parametrize(

@@ -230,19 +230,18 @@ def test_samples_are_told_apart_whatever_their_column_is_called(heads, tmp_path)
     np.testing.assert_allclose(np.pi * second.values[:, 0], 0.2)
 
 
+# Names of samples by the cells of their rows, by heads.
 NAMED_TOGETHER = {
-    "Standard Name,Trial Name": ["red,", "red,red 1", "blue,", "blue,blue 1"],
-    "Trial Name,Standard Name": [",red", "1,red", ",blue", "1,blue"],
-    "Name,Type": ["red,Standard", "red,Batch", "blue,Standard", "blue,Batch"],
-    "Material,Color Name": ["felt,red", "felt,blue", "wool,red", "wool,blue"],
-    "Sample ID,Name": ["1,red", "2,red", "3,blue", "4,blue"],
-}
-TOGETHER = {
-    "Standard Name,Trial Name": ["red", "red 1", "blue", "blue 1"],
-    "Trial Name,Standard Name": ["red", "red: 1", "blue", "blue: 1"],
-    "Name,Type": ["red: Standard", "red: Batch", "blue: Standard", "blue: Batch"],
-    "Material,Color Name": ["felt: red", "felt: blue", "wool: red", "wool: blue"],
-    "Sample ID,Name": ["red: 1", "red: 2", "blue: 3", "blue: 4"],
+    "Standard Name,Trial Name": {
+        "red,": "red",
+        "red,red 1": "red 1",
+        "blue,": "blue",
+        "blue,blue 1": "blue 1",
+    },
+    "Trial Name,Standard Name": {",red": "red", "1,red": "red: 1", ",blue": "blue", "1,blue": "blue: 1"},
+    "Name,Type": {"red,Standard": "red: Standard", "red,Batch": "red: Batch", "blue,Batch": "blue"},
+    "Material,Color Name": {"felt,red": "felt: red", "felt,blue": "felt: blue", "wool,red": "wool"},
+    "Sample ID,Name": {"1,red": "red: 1", "2,red": "red: 2", "3,blue": "blue: 3", "4,blue": "blue: 4"},
 }
 
 
@@ -258,7 +257,7 @@ def test_columns_together_name_a_sample(heads, is_merged, tmp_path):
     path = tmp_path / "samples.csv"
     path.write_text("\n".join([f"{heads},Geometry,400,500,600", *rows]))
     found = registry.read_all(path)
-    assert [one.name for one in found] == TOGETHER[heads]
+    assert [one.name for one in found] == list(NAMED_TOGETHER[heads].values())
     for k, one in enumerate(found):
         np.testing.assert_allclose(np.pi * one.values[:, 0], 0.1 * (k + 1))
         assert len(one) == 2

@@ -244,7 +244,7 @@ def test_what_a_file_is_made_of_has_the_content_of_the_reflectance_and_not_its_p
 
 def test_cells_of_tables_have_no_exponents_for_small_errors():
     assert [cell(value) for value in (2.51e-06, -2e-9, 0.0, 0.00214, 1.234, 12.34, None, "a")] == [
-        "0.000", "-0.000", "0", "0.00214", "1.23", "12.3", "", "a"
+        "0.000", "0.000", "0", "0.00214", "1.23", "12.3", "", "a"
     ]  # fmt: skip
 
 

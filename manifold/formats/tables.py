@@ -283,7 +283,8 @@ def _wide(table: Table, index: int, heads: list[str], geometry: int | None, cont
     named = [heads[k] if k in others else "" for k in range(len(heads))]
     names = _name_columns(table, index, named, [*directions, of_nm[0]])
     keys = sorted({*directions, *names.values()})
-    is_known = geometry is not None or (names_directions(heads) and len(keys) + 1 == len(others))
+    known = {*directions, *column_heads.name_columns(named).values()}
+    is_known = geometry is not None or (names_directions(heads) and len(known) + 1 == len(others))
     if len(values) != 1 or values[0] in keys or not is_known:
         return table
     uncertain = [k for k, head in enumerate(heads) if head and uncertainty_head(head) is not None]

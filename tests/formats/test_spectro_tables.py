@@ -301,6 +301,12 @@ def test_types_of_directions_split_no_sample(tmp_path):
     )
     (found,) = registry.read_all(path)
     assert len(found) == 3
+    path.write_text(
+        "Name,Type,theta_i,theta_o,phi_o,Wavelength (nm),BRDF\n"
+        "a,in plane,30,0,0,500,0.1\na,in plane,30,0,0,600,0.2\na,across,30,10,90,500,0.1\na,across,30,10,90,600,0.2\n"
+    )
+    (found,) = registry.read_all(path)
+    assert found.values.shape == (2, 2)
 
 
 def test_texture_values_are_found_by_columns_that_together_name_a_sample(tmp_path):

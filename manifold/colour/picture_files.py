@@ -35,6 +35,7 @@ _RAW_WHITE = 0.999  # share of the largest code that counts as white: LibRaw rou
 _MOST_CHUNKS, _MOST_CHUNK = 100, 64  # chunks before the pixels, and bytes of one that states colours
 _HEIF = (b"heic", b"heix", b"hevc", b"mif1", b"msf1", b"avif")  # brands behind `ftyp`
 _SAY_COLOURS = {b"sRGB", b"gAMA", b"cICP", b"cHRM"}  # chunks of PNG, beside the profile
+_UNSPECIFIED = b"\2"  # primaries in cICP, see ITU-T H.273
 _COLOUR_SPACE, _WHITE_POINT, _PRIMARIES = 0xA001, 318, 319  # tags of Exif and TIFF
 _EXIF_SRGB, _EXIF_ADOBE, _ADOBE = 1, 2, "R03"  # values of _COLOUR_SPACE, and the interoperability index
 _OUTSIDE = 0.02  # of its largest channel, how negative a colour's smallest one is that counts as outside sRGB
@@ -350,6 +351,8 @@ def _chunks(path: Path) -> dict[bytes, bytes]:
                 found[head[4:]] = stream.read(size)
                 size = 0
             stream.seek(size + 4, 1)
+    if found.get(b"cICP", b"").startswith(_UNSPECIFIED):
+        del found[b"cICP"]
     return found
 
 

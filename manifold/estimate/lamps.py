@@ -158,7 +158,7 @@ def read_lamps(
         MissingFileError: there is no such file; `advice` ends the message.
         FileFormatError: a line is not a lamp, the names are not those of the pictures, or the numbers of lines differ.
     """
-    lamps, is_named = _lamps_in(path, advice)
+    lamps, is_named = _lamps_in(path, pictures, advice)
     if (beside := intensities_beside(path)) is not None and not any(lamp.known for lamp in lamps.values()):
         rows = _intensities(beside, len(lamps))
         lamps = {name: lamp.of_intensity(row) for (name, lamp), row in zip(lamps.items(), rows, strict=True)}
@@ -194,7 +194,7 @@ def _intensities(path: Path, count: int) -> list[Array]:
     return found
 
 
-def _lamps_in(path: Path, advice: str) -> tuple[dict[str, Lamp], bool]:
+def _lamps_in(path: Path, pictures: Sequence[str], advice: str) -> tuple[dict[str, Lamp], bool]:
     """Read the lamps of one file by the names of their pictures or, if it names none, by the numbers of their lines."""
     lines = _lines(path, advice)
     if lines and (count := number(lines[0][1])) is not None:
@@ -207,6 +207,8 @@ def _lamps_in(path: Path, advice: str) -> tuple[dict[str, Lamp], bool]:
     head = None
     if rows and not any(number(cell) is not None for cell in rows[0][1]):
         head = _lamp_columns(path, rows.pop(0)[1])
+    elif _name_pictures([cells for _, cells in rows], pictures):
+        head = 0, [*range(1, len(rows[0][1]))]
     if not rows:
         raise FileFormatError(f"{path}: no lamps, {_EXPECTED}")
     if head is None and _are_counted([cells for _, cells in rows]):
@@ -226,7 +228,14 @@ def _lamps_in(path: Path, advice: str) -> tuple[dict[str, Lamp], bool]:
             lamps[key] = Lamp.towards(values[:3]).of_intensity(values[3:])
         except UsageError as error:
             raise FileFormatError(f"{path}, line {n}: {error}") from None
-    return lamps, all(_lamp_cells(cells, head)[0] for _, cells in rows)
+    return lamps, any(_lamp_cells(cells, head)[0] for _, cells in rows)
+
+
+def _name_pictures(rows: list[list[str]], pictures: Sequence[str]) -> bool:
+    """Return whether rows begin with the names of the pictures, which are numbers, in front of X, Y and Z."""
+    first = {cells[0] for cells in rows}
+    names = {Path(name).stem for name in pictures}
+    return bool(names) and names <= first and len(first) == len(rows) and min(map(len, rows)) > 3
 
 
 def _are_counted(rows: list[list[str]]) -> bool:

@@ -44,6 +44,8 @@ _CLEARLY_OF_FEW = 2.5  # the same of one or two pictures: at most 2.1 in single 
 _DOUBTFUL = 2.0  # ratio of these residuals at which both encodings are about equally probable
 _SURE_DEG = 3.0  # of a coarse estimate, within which given lamps confirm how pictures were read
 _NEAR_DEG = 5.0  # within which given lamps confirm the other encoding; they are measured to some 4 degrees
+# The same if the residual confirms it too: so far off are lamps found in a picture of a matte ball.
+_FOUND_DEG = 7.0
 _NEARER_DEG = 5.0  # by which it is at least nearer; the wrong one is 3 to 14 degrees off correct lamps
 _SMALLER = 1.2  # least ratio of residuals at which angles below the doubtful one are believed
 _MOST_RESIDUAL = 0.3  # of a ball whose encoding is in doubt
@@ -188,8 +190,9 @@ def given_encoding_notes(
     except UsageError:
         return ()
     (far, near), (large, small) = apart, residual
-    is_doubted = far > _DOUBTED_DEG or large > _SMALLER * small
-    if near > _NEAR_DEG or far < near + _NEARER_DEG or not is_doubted:
+    is_smaller = large > _SMALLER * small
+    is_doubted = far > _DOUBTED_DEG or is_smaller
+    if near > (_FOUND_DEG if is_smaller else _NEAR_DEG) or far < near + _NEARER_DEG or not is_doubted:
         return ()
     return (
         _advice(

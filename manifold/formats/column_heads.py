@@ -17,6 +17,10 @@ PHASE = "phase"
 """Name of the angle between the directions to the light and to the viewer."""
 NUMBER = "number"
 """Key of `name_columns` for a column of numbers of samples, which may also count rows."""
+STANDARD, TYPE = "standard", "type"
+"""Keys of `name_columns` for columns of standards, and of types, which may also describe geometries."""
+OF_STANDARDS = ("batch", "trial")
+"""Keys of `name_columns` for columns that are empty for the standard itself."""
 
 _LONGEST = 80  # letters; longer cells are no heads
 _LIGHT = r"(i|in|inc|incident|incidence|incoming|light|lighting|illumination|source|sun|solar)"
@@ -80,14 +84,14 @@ _CHANNELS = {"red": "r", "green": "g", "blue": "b"} | {letter: letter for letter
 _NAMES = {
     "material": ("material name", "material"),
     "colour": ("color name", "colour name"),
-    "standard": ("standard name", "standard"),
+    STANDARD: ("standard name", "standard"),
     "sample": ("sample name", "sample", "name", "data name", "measurement name"),
     "batch": ("batch name", "batch"),
     "trial": ("trial name", "trial"),
     NUMBER: ("sample id", "sample no", "id"),
-    "type": ("type",),
+    TYPE: ("type",),
 }
-_CALLED_BY = ("sample", "trial", "batch", NUMBER, "standard", "material", "colour", "type")
+_CALLED_BY = ("sample", "trial", "batch", NUMBER, STANDARD, "material", "colour", TYPE)
 _GLOSS_WORDS = {"gloss", "glanz", "gu", "deg", "degree", "degrees", "unit", "units", "value"}
 _USUAL_GLOSS_DEG = 60.0
 

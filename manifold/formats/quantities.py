@@ -180,7 +180,7 @@ _SPECTRUM_WORDS: dict[SpectrumKind, str] = {
     "transmittance": r"transmi\w+|t|trans",
     "power": r"(ir)?radian\w*|(ir)?rad|exitance|power|spd|flux|emission|intensity|illuminant|luminance|watts?|energy|w",
     "sensitivity": r"sensitivit\w*|responsiv\w*|response|qe",
-    "other": r"counts?|dn|digital|raw|voltage|photons?|quanta|log|lg|ln|deriv\w*|kubelka|munk",
+    "other": r"emissivit\w*|emittance|counts?|dn|digital|raw|voltage|photons?|quanta|log|lg|ln|deriv\w*|kubelka|munk",
 }
 _OF_LETTERS = re.compile(r"\bk\W*/\W*s\b|\bf\W*\(\W*r|\b1\s*-\s*r")  # Kubelka-Munk's, absorptance
 _LOG_OF_RECIPROCAL = re.compile(r"\b(lg|log)\W*1\s*/\s*r(efl\w*)?\b|-\s*(lg|log)\W*r(efl\w*)?\b")

@@ -68,7 +68,7 @@ def read_spectrum(path: Path, wanted: Wanted) -> tuple[Array, Array]:
 
     Raises:
         FileFormatError: the file is of another kind, its columns hold another quantity or several, wavelengths
-            repeat, turn back or are in another unit, or there are fewer than two.
+            repeat, hold two spectra or are in another unit, or there are fewer than two.
         UsageError: the file cannot be read.
     """
     advice = _WHOLE.format(wanted)
@@ -97,8 +97,8 @@ def read_spectrum(path: Path, wanted: Wanted) -> tuple[Array, Array]:
             f"found {len(nm)} rows of wavelength and {wanted}, expected at least 2, such as 400;0.1"
         )
     require_one_spectrum(nm, context)
-    if nm[-1] < nm[0]:
-        nm, values = nm[::-1], values[::-1]
+    order = np.argsort(nm)
+    nm, values = nm[order], values[order]
     if not SHORTEST_NM <= nm[0] <= nm[-1] <= LONGEST_NM:
         said = f"as the head '{table.heads[column][:40]}' says" if table.heads else "without a head"
         raise context.error(

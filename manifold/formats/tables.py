@@ -222,12 +222,18 @@ def not_understood(heads: Sequence[str]) -> str | None:
 def name_cells(table: Table, row: int, names: Mapping[str, int], above: tuple[str, ...]) -> tuple[str, ...]:
     """Return the cells that name the sample of a row.
 
-    `names` are columns as `column_heads.name_columns` returns them. The cells of the row above hold up to the first
-    text of this row.
+    `names` are columns as `column_heads.name_columns` returns them. An empty cell has the text of the row above if the
+    cells before it have. Beside a standard, and in columns of trials and batches, it means that there is none.
     """
-    cells = [table.text(row, k) for k in names.values()]
-    first = next((k for k, cell in enumerate(cells) if cell), len(cells))
-    return (*above[:first], *cells[first:])
+    cells: list[str] = []
+    is_said = is_standard = False
+    for k, (what, column) in enumerate(names.items()):
+        cell = table.text(row, column)
+        is_none = is_said and (is_standard or what in column_heads.OF_STANDARDS)
+        cells.append(cell or ("" if is_none or tuple(cells) != above[:k] else above[k]))
+        is_said = is_said or bool(cell)
+        is_standard = is_standard or (bool(cell) and what == column_heads.STANDARD)
+    return tuple(cells)
 
 
 def find_columns(table: Table, context: ErrorContext) -> tuple[Table, Columns] | None:
@@ -273,9 +279,12 @@ def _wide(table: Table, index: int, heads: list[str], geometry: int | None, cont
         and said.nm is None
         and not (said.channel and not said.quantity)
     ]
-    names = _name_columns(table, index, [heads[k] if k in others else "" for k in range(len(heads))])
-    keys = [k for k, angle in enumerate(angle_names(heads)) if angle or k in (geometry, *names.values())]
-    is_known = geometry is not None or (names_directions(heads) and len(keys) + 1 == len(others))
+    directions = [k for k, angle in enumerate(angle_names(heads)) if angle or k == geometry]
+    named = [heads[k] if k in others else "" for k in range(len(heads))]
+    names = _name_columns(table, index, named, [*directions, of_nm[0]])
+    keys = sorted({*directions, *names.values()})
+    known = {*directions, *column_heads.name_columns(named).values()}
+    is_known = geometry is not None or (names_directions(heads) and len(known) + 1 == len(others))
     if len(values) != 1 or values[0] in keys or not is_known:
         return table
     uncertain = [k for k, head in enumerate(heads) if head and uncertainty_head(head) is not None]
@@ -402,11 +411,13 @@ def _direction_columns(table: Table, index: int, heads: list[str], context: Erro
     if twice is not None:
         raise context.error(f"{twice} appears twice, expected each angle once", where, remedy=NEW_HEADER)
     free = [k for k, head in enumerate(heads) if k not in angles.values() and head]
-    names = _name_columns(table, index, [heads[k] if k in free else "" for k in range(len(heads))])
+    others = [heads[k] if k in free else "" for k in range(len(heads))]
+    names = _name_columns(table, index, others, [*angles.values()])
     gloss = {k: a for k in free if (a := gloss_angle(heads[k])) is not None}
     uncertainties = [k for k in free if uncertainty_head(heads[k]) is not None]
     own = {head: heads.index(head) for head in (WEIGHT_HEAD, SCATTER_HEAD) if head in heads}
-    bands = [k for k in free if k not in (*names.values(), *gloss, *uncertainties, *own.values())]
+    unused = column_heads.name_columns(others).values()
+    bands = [k for k in free if k not in (*unused, *gloss, *uncertainties, *own.values())]
     said = [column_heads.value_head(heads[k]) for k in bands]
     unknown = [heads[k] for k, head in zip(bands, said, strict=True) if head is None]
     is_one_kind = len(bands) == 1 or all(channel(heads[k]) for k in bands) or all(h and h.nm for h in said)
@@ -455,21 +466,37 @@ def _geometry_columns(
     if not lab and len(set(nm)) < len(nm):
         raise context.error("two columns of the same wavelength, expected different ones", table.where(index))
     others = ["" if k in (geometry, *bands) else head for k, head in enumerate(heads)]
-    names = _name_columns(table, index, others)
+    names = _name_columns(table, index, others, [geometry])
     return Columns(index, heads, {}, geometry, bands, names, gloss, _above(table, index))
 
 
-def _name_columns(table: Table, index: int, heads: Sequence[str]) -> dict[str, int]:
-    """Return the columns that name samples; one of numbers only if it is alone or does not count the rows."""
+def _name_columns(table: Table, index: int, heads: Sequence[str], key: Sequence[int]) -> dict[str, int]:
+    """Return the columns that name samples.
+
+    Numbers and types name them only where other names and `key`, the columns of directions and wavelengths, repeat.
+    Otherwise they count rows or describe geometries. A column of numbers alone names samples, unlike one of types.
+    """
     names = column_heads.name_columns(heads)
-    if column_heads.NUMBER in names and len(names) > 1:
-        column = names[column_heads.NUMBER]
-        rows = [
-            k for k in range(index + 1, len(table.rows)) if sum(map(bool, map(text_of, table.rows[k]))) > 1
-        ]
-        if len({table.text(row, column) for row in rows} - {""}) == len(rows):
-            del names[column_heads.NUMBER]
+    rows = [k for k in range(index + 1, len(table.rows)) if sum(map(bool, map(text_of, table.rows[k]))) > 1]
+    for what in (column_heads.NUMBER, column_heads.TYPE):
+        if what not in names:
+            continue
+        others = {other: k for other, k in names.items() if other != what}
+        is_number = what == column_heads.NUMBER
+        counts = is_number and len({table.text(row, names[what]) for row in rows} - {""}) == len(rows)
+        if (others or not is_number) and (counts or not _repeats(table, rows, others, key)):
+            names = others
     return names
+
+
+def _repeats(table: Table, rows: Sequence[int], names: Mapping[str, int], key: Sequence[int]) -> bool:
+    """Return whether rows of the same names have the same texts in the columns `key`."""
+    named_by = ("",) * len(names)
+    seen = set()
+    for row in rows:
+        named_by = name_cells(table, row, names, named_by)
+        seen.add((named_by, *(table.text(row, k) for k in key)))
+    return len(seen) < len(rows)
 
 
 def _geometry_column(table: Table, index: int, heads: list[str]) -> int | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,6 +40,7 @@ _MOST_BRDF = (
     1.15  # radiance factor of a band away from the mirror direction: of 20 real materials at most 1.02
 )
 _BANDS = 1.0 / 8.0  # share of the bands that tells the unit; fewer may be saturated
+_OVERLAP = 0.5  # share of the smaller range of two parts of a file above which they are two spectra
 _FEW = 5  # values; of fewer all must be too bright, and at least two
 _PERCENT_FROM = 2.0  # reflectance factors away from the mirror direction are below this, percentages above
 _PERCENT_ANYWHERE = 30.0  # 15 degrees from it, where these instruments see most, even chrome stays below this
@@ -83,23 +85,29 @@ def named_wavelength(comments: Iterable[str], context: ErrorContext) -> float | 
 
 
 def require_one_spectrum(nm: Array, context: ErrorContext, where: str | None = None) -> None:
-    """Raise FileFormatError if wavelengths in nm (B,), in the order of a file, repeat or turn back.
+    """Raise FileFormatError if wavelengths in nm (B,), in the order of a file, repeat or run twice through a range.
 
-    Two spectra, one below the other, would become one that goes up and down.
+    Two spectra, one below the other, would become one that goes up and down. The ranges of neighbouring detectors
+    overlap by less than half.
     """
     steps = np.diff(nm)
-    steps = steps * np.sign(steps[:1])
-    if np.all(steps > 0.0):
+    if np.all(steps > 0.0) or np.all(steps < 0.0):
         return
-    k = int(np.argmax(steps <= 0.0))
-    found = (
-        f"wavelength {nm[k]:g} nm twice"
-        if nm[k] == nm[k + 1]
-        else f"wavelengths go back from {nm[k]:g} to {nm[k + 1]:g} nm"
-    )
-    raise context.error(
-        f"{found}, expected one spectrum", where, remedy="keep one spectrum, and one value per wavelength"
-    )
+    turns = np.flatnonzero(steps * np.sign(np.median(steps)) <= 0.0) + 1
+    ends = [(part.min(), part.max()) for part in np.split(nm, turns)]
+    common = [min(a[1], b[1]) - max(a[0], b[0]) for a, b in pairwise(ends)]
+    least = [min(a[1] - a[0], b[1] - b[0]) for a, b in pairwise(ends)]
+    k = next((k for k, (c, n) in enumerate(zip(common, least, strict=True)) if c > _OVERLAP * n), None)
+    found = None if k is None else f"wavelengths go back from {nm[turns[k] - 1]:g} to {nm[turns[k]]:g} nm"
+    ordered = np.sort(nm)
+    if (twice := np.flatnonzero(np.diff(ordered) == 0.0)).size and (
+        k is None or nm[turns[k] - 1] == nm[turns[k]]
+    ):
+        found = f"wavelength {ordered[twice[0]]:g} nm twice"
+    if found is not None:
+        raise context.error(
+            f"{found}, expected one spectrum", where, remedy="keep one spectrum, and one value per wavelength"
+        )
 
 
 def _stated(found: re.Match[str], line: str, context: ErrorContext) -> float | None:

@@ -298,6 +298,7 @@ def test_chunks_of_display_p3_are_converted(tmp_path, codes, chunks):
         ((9, 1, 0, 1), "ITU-R BT.2020", lambda v: colour.models.oetf_inverse_BT709(v)),
         ((1, 8, 0, 1), "sRGB", lambda v: v),
         ((1, 4, 0, 1), "sRGB", lambda v: v**2.2),
+        ((2, 2, 0, 1), "sRGB", decode_srgb),  # unspecified
     ],
 )
 def test_other_codes_of_cicp_are_read(tmp_path, codes, cicp, space, decode):

@@ -217,6 +217,9 @@ def test_given_lamps_say_how_pictures_are_encoded(codes_of, read, option):
     picture = read(stored(MATTE, direction, codes_of))
     notes = given_encoding_notes([picture], [CIRCLE], [Lamp.towards(direction)], are_given=True)
     assert [f"add {option}," in note for note in notes] == [True] * (option is not None)
+    beside = Lamp.towards(direction * [0.83, 0.83, 1.0])  # 4.4 degrees off, towards the camera
+    notes = given_encoding_notes([picture], [CIRCLE], [beside], are_given=True)
+    assert [f"add {option}," in note for note in notes] == [True] * (option == "--linear")
     certain = replace(picture, is_certain=True)
     assert given_encoding_notes([certain], [CIRCLE], [Lamp.towards(direction)], are_given=True) == ()
     elsewhere = Lamp.towards(direction * [-1.0, 1.0, 1.0])
@@ -311,6 +314,10 @@ def test_lamps_are_read_however_their_file_is_laid_out(name, tmp_path):
     [
         ("12\n0 0 1\n", "found 1 lamps, expected 12, as the first line says"),
         ("a.png 0 0 1\nb.png 0 1 1\n", "no lamp of the picture dome 1.png, found those of a.png, b.png"),
+        (
+            "dome 1.png 0 0 1\n0 1 1\ndome 3.png 1 0 1\n",
+            "no lamp of the picture dome 2.png, found those of dome 1",
+        ),
         ("a.png 0 0 1\na.png 0 1 1\n", "line 2: the picture a.png occurs twice"),
         ("file,azimuth,elevation\na.png,10,40\n", "found the header file, azimuth, elevation"),
         ("0 0 1 2 3\n", "line 1: found '0 0 1 2 3'"),
@@ -324,6 +331,15 @@ def test_files_of_lamps_that_cannot_be_read_say_why(text, words, tmp_path):
     path.write_text(text)
     with pytest.raises(ManifoldError, match=words):
         read_lamps(path, PICTURES)
+
+
+def test_numbers_that_name_pictures_are_no_coordinates(tmp_path):
+    """`20 0.5 0 0.8` was a lamp at 20, 0.5, 0 of intensity 0.8."""
+    path = tmp_path / "lamps.txt"
+    path.write_text("20 0.5 0 0.8\n10 0 0.5 0.8\n30 0 0 1\n")
+    found = read_lamps(path, ["10.png", "20.png"])
+    np.testing.assert_allclose([lamp.direction[:2] * 0.89**0.5 for lamp in found], [(0.0, 0.5), (0.5, 0.0)])
+    assert not any(lamp.known for lamp in found)
 
 
 INTENSITIES = "1.2 1.0 0.8\n0.6 0.5 0.4\n2.4 2.0 1.6\n"

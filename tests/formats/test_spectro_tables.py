@@ -272,6 +272,43 @@ def test_numbers_that_count_rows_name_no_sample(tmp_path):
     assert [(one.name, len(one)) for one in registry.read_all(path)] == [("a", 3), ("b", 3)]
 
 
+@pytest.mark.parametrize(
+    ("heads", "rows", "wanted"),
+    [
+        ("Name,ID", ["a,1", "a,2", "b,1", "b,2"], ["a", "b"]),
+        ("Name,Type", ["a,Batch", "a,", "b,Batch", "b,"], ["a", "b"]),
+        ("Sample,Material", ["a,steel", ",steel", "b,steel", ",steel"], ["a", "b"]),
+        ("Material,Sample", ["steel,a", "steel,", "brass,", "brass,"], ["a", "brass"]),
+        ("Standard Name,Sample Name", ["red,", "red,", "red,1", "red,1"], ["red", "1"]),
+    ],
+)  # fmt: skip
+def test_empty_and_counting_cells_name_no_sample_of_their_own(heads, rows, wanted, tmp_path):
+    """Numbers of the geometries split samples, and rows below an empty cell joined those of another sample."""
+    path = tmp_path / "samples.csv"
+    lines = [f"{cells},45as{15 + 30 * (k % 2)},0.{k + 1},0.2,0.3" for k, cells in enumerate(rows)]
+    path.write_text("\n".join([f"{heads},Geometry,400,500,600", *lines]))
+    found = registry.read_all(path)
+    assert [one.name for one in found] == wanted
+    np.testing.assert_allclose(
+        np.pi * np.array([one.values[:, 0] for one in found]), [[0.1, 0.2], [0.3, 0.4]]
+    )
+
+
+def test_types_of_directions_split_no_sample(tmp_path):
+    path = tmp_path / "samples.csv"
+    path.write_text(
+        "Type,theta_i,theta_o,phi_o,633nm\nin plane,30,0,0,0.1\nin plane,30,10,0,0.1\nacross,30,10,90,0.1\n"
+    )
+    (found,) = registry.read_all(path)
+    assert len(found) == 3
+    path.write_text(
+        "Name,Type,theta_i,theta_o,phi_o,Wavelength (nm),BRDF\n"
+        "a,in plane,30,0,0,500,0.1\na,in plane,30,0,0,600,0.2\na,across,30,10,90,500,0.1\na,across,30,10,90,600,0.2\n"
+    )
+    (found,) = registry.read_all(path)
+    assert found.values.shape == (2, 2)
+
+
 def test_texture_values_are_found_by_columns_that_together_name_a_sample(tmp_path):
     heads = ["Standard Name", "Trial Name", "Geometry"]
     cells = [["red", None, "45as15"], ["red", "red 1", "45as15"]]

@@ -143,6 +143,7 @@ def test_utf_16_of_spreadsheets_is_read(tmp_path):
         (table("XYDATA", NM, R, above="XUNITS\tNANOMETERS\nYUNITS\tABSORBANCE\n"), "columns ABSORBANCE: expected"),
         (table("", NM, R, separator=" ") + table("", NM + 5.0, R, separator=" "), "go back from 700 to 405 nm"),
         (table("", NM[::-1], R, separator=" ") + table("", NM[::-1] + 5.0, R, separator=" "), "back from 400 to 705"),
+        (table("nm;Emissivity", NM, R, separator=";"), "columns Emissivity: expected exactly one of reflectance"),
         (table("nm;R", [400.0, *NM], [0.1, *R], separator=";"), "wavelength 400 nm twice, expected one spectrum"),
         (table("Wavelength (um);R", NM, R, separator=";"), r"nm, as the head 'Wavelength .um.' says, expected 100 to"),
         (table("", NM, R, above=ECOSTRESS.replace("Reflectance (", "Transmittance (")), "columns Transmittance"),
@@ -196,3 +197,22 @@ def test_sensitivities_are_ordered_by_their_heads(tmp_path):
     path.write_text(table("nm,x,y,z", NM, R, R, R))
     with pytest.raises(FileFormatError, match="columns x, y, z: expected one each of red, green and blue"):
         read_spectrum(path, "sensitivity")
+
+
+@pytest.mark.parametrize(
+    "nm",
+    [
+        [400.0, 600.0, 850.0, 800.0, 900.0, 1200.0],
+        [400.0, 600.0, 850.0, 300.0, 350.0],
+        [400.0, 500.0, 450.0, 600.0],
+    ],
+    ids=["overlapping", "ultraviolet last", "one out of place"],
+)
+def test_parts_of_one_spectrum_are_joined(nm, tmp_path):
+    """Ranges of detectors overlap, and rows may stand in another order."""
+    nm = np.array(nm)
+    path = tmp_path / "spectrum.txt"
+    path.write_text(table("Wavelength (nm),Reflectance", nm, nm / 2000.0))
+    found, values = read_spectrum(path, "reflectance")
+    np.testing.assert_array_equal(found, np.sort(nm))
+    np.testing.assert_allclose(values, np.sort(nm) / 2000.0)

@@ -106,7 +106,7 @@ def test_the_reflectance_of_an_srgb_colour_looks_like_it(display):
 
 def test_reflectance_files_are_interpolated_and_held_at_their_ends(tmp_path):
     path = tmp_path / "r.txt"
-    path.write_text("# nm reflectance\n400, 0.1\n500 0.2\n600\t0.4\n")
+    path.write_text("# nm reflectance\n500 0.2\n600\t0.4\n400, 0.1\n")
     values = read_reflectance(path, BANDS)
     np.testing.assert_allclose(values, np.interp(BANDS.wavelengths_nm, [400, 500, 600], [0.1, 0.2, 0.4]))
 
@@ -143,7 +143,7 @@ def test_decimal_commas_are_read_beside_other_separators(tmp_path, content):
         ("500 0.2\n", "at least 2"),
         ("500 20\n600 30\n", "divide percent"),
         ("500 0.2\n500 0.3\n", "wavelength 500 nm twice"),
-        ("500 0.2\n600 0.4\n400 0.1\n", "wavelengths go back from 600 to 400 nm"),
+        ("400 0.2\n600 0.4\n410 0.1\n610 0.2\n", "wavelengths go back from 600 to 410 nm"),
         ("0.5 0.2\n0.6 0.3\n", "covers 500 to 600 nm"),  # micrometres
         ("500 -0.2\n600 0.3\n", "expected 0 to 1"),
         ("380,0,9\n500,0,1\n780,0,1\n", "3 columns without heads"),  # columns, or a decimal comma?

@@ -96,7 +96,7 @@ class Calibration:
         known = np.full(len(self.residuals), True)
         if completion.solution.contradiction > CONTRADICTION and np.any(self.residuals > CONTRADICTION):
             known = self.residuals > CONTRADICTION
-        found = self._at(plausible_errors(completion), completion.residual, known)
+        found = self.at(plausible_errors(completion), completion.residual, known)
         if not completion.is_brightness_guessed:
             found = replace(found, scaled_ball=np.nan)
         found = found.beside(Errors(ball=completion.colour_error))
@@ -134,13 +134,16 @@ class Calibration:
         every = np.arange(len(self.residuals))
         return Errors.of_several(
             [
-                self._at(self.plausible.over(lambda values: float(values[i])), self.residuals[i], every != i)  # noqa: B023
+                self.at(self.plausible.over(lambda values: float(values[i])), self.residuals[i], every != i)  # noqa: B023
                 for i in every
             ]
         )
 
-    def _at(self, plausible: Errors[float], residual: float, known: Mask) -> Errors[float]:
-        """Return expected errors from some of the left-out materials, a mask (N,)."""
+    def at(self, plausible: Errors[float], residual: float, known: Mask) -> Errors[float]:
+        """Return the errors expected from plausible errors and a residual, by some of the left-out materials.
+
+        `known` masks these materials, shape (N,).
+        """
         beyond = max(residual / max(float(self.residuals[known].max()), TINY), 1.0)
         expected = {}
         for kind in self.errors.known:

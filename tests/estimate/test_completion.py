@@ -598,9 +598,9 @@ def test_expected_errors_are_the_plausible_ones_times_typical_ratios(rng, N, sha
     held = Calibration(Errors(*plausible * ratios), Errors(*plausible), np.linspace(0.0, 0.1, N))
     own = np.median(ratios, axis=1)
     want = own * np.maximum(np.array([0.65, 1.35, 1.2]) / own, 1.0) ** share
-    at = Errors(2.0, 3.0, 4.0)
-    np.testing.assert_allclose(three(held.at(at, 0.05)), want * [2.0, 3.0, 4.0])
-    np.testing.assert_allclose(three(held.at(at, 0.5)), 5.0 * want * [2.0, 3.0, 4.0])  # a residual never seen
+    at, known = Errors(2.0, 3.0, 4.0), np.full(N, True)
+    np.testing.assert_allclose(three(held.at(at, 0.05, known)), want * [2.0, 3.0, 4.0])
+    np.testing.assert_allclose(three(held.at(at, 0.5, known)), 5.0 * want * [2.0, 3.0, 4.0])  # a residual never seen
 
 
 def test_a_typical_error_allows_for_one_more_than_were_seen():

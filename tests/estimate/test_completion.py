@@ -600,7 +600,8 @@ def test_expected_errors_are_the_plausible_ones_times_typical_ratios(rng, N, sha
     want = own * np.maximum(np.array([0.65, 1.35, 1.2]) / own, 1.0) ** share
     at, known = Errors(2.0, 3.0, 4.0), np.full(N, True)
     np.testing.assert_allclose(three(held.at(at, 0.05, known)), want * [2.0, 3.0, 4.0])
-    np.testing.assert_allclose(three(held.at(at, 0.5, known)), 5.0 * want * [2.0, 3.0, 4.0])  # a residual never seen
+    never_seen = 0.5
+    np.testing.assert_allclose(three(held.at(at, never_seen, known)), 5.0 * want * [2.0, 3.0, 4.0])
 
 
 def test_a_typical_error_allows_for_one_more_than_were_seen():

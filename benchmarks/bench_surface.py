@@ -237,7 +237,7 @@ def _sparkle_again(surface: Surface, brdf: EvaluableBRDF, pictures: SurfacePictu
 
 
 def known(size: int = 192) -> dict[str, Any]:
-    """Reliefs that were rendered, and what is recovered of them."""
+    """Render known reliefs, estimate them, and return the errors."""
     colour = np.array([0.5, 0.3, 0.2])
     found: dict[str, Any] = {"relief": {}}
     for roughness in (0.8, 0.6, 0.4):
@@ -292,7 +292,7 @@ def known(size: int = 192) -> dict[str, Any]:
 
 
 def matte() -> dict[str, Any]:
-    """Reliefs under lamps all round, without readings, and what is recovered of them."""
+    """Estimate matt reliefs from pictures under lamps all around, without readings, and return the errors."""
     found = {}
     for count, angle_deg, noise in (
         (8, 15, 0.0), (8, 30, 0.0), (8, 60, 0.0), (3, 30, 0.0), (8, 30, 0.01), (8, 30, 0.1), (4, 30, 0.02),

@@ -129,7 +129,8 @@ def of_png(chunks: dict[bytes, bytes]) -> ColourSpace | None:
 def of_profile(profile: bytes, name: str) -> ColourSpace | None:
     """Return the space of an ICC profile of primaries and tone curves, or of one curve for grey; None for others.
 
-    Source: ICC.1:2022, sections 8.3.3, 10.6 and 10.18.
+    It is read here because Pillow's ImageCms converts colours of 8 bits only. Source: ICC.1:2022, sections 8.3.3, 10.6
+    and 10.18.
     """
     try:
         tags = _tags(profile)

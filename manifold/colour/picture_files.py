@@ -49,6 +49,7 @@ class Image:
     """A picture in linear values.
 
     Attributes:
+        path: its file.
         values: linear sRGB, shape (H, W, 3), float32; transparent pixels have the values of the file. Colours that
             the conversion leaves outside sRGB have 0 where they would be negative.
         is_opaque: whether each pixel is not transparent, shape (H, W).

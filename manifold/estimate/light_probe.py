@@ -41,7 +41,8 @@ _DOUBTED_DEG = 10.0  # least doubtful angle; lamps are found within 7 degrees in
 _WELL_EXPLAINED = 0.035  # largest residual of pictures that are explained well
 _CLEARLY = 1.6  # least ratio of residuals of two encodings: at most 1.33 in triples of pictures that are sRGB
 _CLEARLY_OF_FEW = 2.5  # the same of one or two pictures: at most 2.1 in single ones that are sRGB
-_DOUBTFUL = 2.0  # ratio of these residuals at which both encodings are about equally probable
+# Ratio of these residuals at which both encodings are equally probable, and the power by which that changes with it.
+_DOUBTFUL, _DOUBTFUL_POWER = 2.0, 4
 _SURE_DEG = 3.0  # of a coarse estimate, within which given lamps confirm how pictures were read
 _NEAR_DEG = 5.0  # within which given lamps confirm the other encoding; they are measured to some 4 degrees
 # The same if the residual confirms it too: so far off are lamps found in a picture of a matte ball.
@@ -226,7 +227,7 @@ def doubt_encoding(photographs: Sequence[Photograph], probe: Probe) -> tuple[Pro
     ratio = residual / max(small, TINY)
     least = _CLEARLY if len(chosen) >= _OF_ENCODING else _CLEARLY_OF_FEW
     is_clear = small <= _WELL_EXPLAINED and ratio >= least
-    probability = 1.0 if is_clear else 1.0 / (1.0 + (_DOUBTFUL / max(ratio, TINY)) ** 4)
+    probability = 1.0 if is_clear else 1.0 / (1.0 + (_DOUBTFUL / max(ratio, TINY)) ** _DOUBTFUL_POWER)
     wider = np.hypot(probe.lamp_deg, np.sqrt(probability) * np.array(apart))
     probe = replace(probe, lamp_deg=tuple(wider.tolist()))
     if not is_clear:

@@ -1,9 +1,9 @@
 """Loads Mitsuba's plugin `measured` so that it turns or mirrors no directions.
 
 The plugin folds incident azimuths by the repeats of an anisotropic file. For an isotropic file it leaves their number
-unset (`m_reduction`; Mitsuba up to 3.9.1, pull request 1850), so what the memory held before decides: about half of
-all instances turn each pair of directions by half a turn, which changes values by rounding, or mirror it, which also
-exchanges noise that was measured on both sides.
+unset (`m_reduction`), so what the memory held before decides whether an instance evaluates directions as they are,
+turns them by half a turn, which changes values by rounding, or mirrors them, which exchanges the noise of both sides.
+Source: https://github.com/mitsuba-renderer/mitsuba3/pull/1850, open for Mitsuba 3.9.1.
 """
 
 from __future__ import annotations
@@ -22,7 +22,18 @@ _PROBES = 64  # pairs of directions; rounding of a half turn shows in a third of
 
 
 def load_bsdf(mi: Any, content: Mapping[str, Any] | Any) -> Any:
-    """Load a BSDF in the current variant, given as a dictionary of Mitsuba; a `measured` one folds nothing unasked."""
+    """Load a BSDF of Mitsuba in the current variant; an isotropic `measured` one neither turns nor mirrors directions.
+
+    Args:
+        mi: the module `mitsuba`, with a variant set.
+        content: a dictionary as for `mi.load_dict`, with the `filename` of a `measured` BSDF; a loaded BSDF is returned
+            as it is.
+
+    Raises:
+        FileFormatError: the file of a `measured` BSDF is no RGL file, or is damaged.
+        MissingFileError: there is no such file.
+        RuntimeError: Mitsuba refuses the dictionary.
+    """
     if not isinstance(content, Mapping):
         return content
     made = mi.load_dict(dict(content))

@@ -30,9 +30,8 @@ _OF_SEVERAL = 6  # pictures, from which residuals determine the noise of each
 _NOISIER = 4.0  # largest ratio of a picture's noise to that of all, and the inverse of the smallest
 _LEAST_NOISE = 1e-5  # relative; pictures of 16 bits have more
 _TO_STD = 1.4826  # of a median absolute deviation
-_LEAST_KEPT = (
-    0.1  # share of a slope after shrinking, from which its size is estimated; 0 across a row of lamps
-)
+# Least share of a slope after shrinking, from which its size is estimated; 0 across a row of lamps.
+_LEAST_KEPT = 0.1
 _SAMPLED = 40_000  # points, by which noise and prior are estimated
 _BLOCK = 65_536  # points that are fitted at once
 

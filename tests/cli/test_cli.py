@@ -538,7 +538,7 @@ def test_the_package_installs_no_global_module_named_cli(tmp_path):
 
 
 def test_a_checkout_that_is_not_installed_runs_as_the_command(tmp_path):
-    """Without `site`, Python neither finds what is installed for editing nor reads files that say where it is."""
+    """Run Python without `site`: it then does not find packages that are installed in editable mode."""
     path = [str(REPOSITORY), *(entry for entry in sys.path if entry.endswith("site-packages"))]
     env = os.environ | {"PYTHONPATH": os.pathsep.join(path)}
     done = subprocess.run(

@@ -248,7 +248,7 @@ def test_an_optimiser_recovers_latents_of_two_balls_that_light_each_other(models
     first, last = (model.between("syn_metal_copper", "syn_satin_gold", t) for t in (0.4, 0.6))
     share = np.linspace(0.0, 1.0, 16).reshape(4, 4, 1)
     unknown = first + share * (last - first) if is_texture else first
-    # From halfway to white paper, a single latent ends in another minimum, beyond a red material.
+    # The start is near copper: a search that starts halfway to white paper ends in another minimum.
     start = np.zeros_like(unknown) + model.between("syn_metal_copper", "syn_paper_white", 0.25)
 
     def bsdf(latents):

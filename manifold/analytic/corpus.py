@@ -186,7 +186,7 @@ def _metal(name: str, ggx: GGX | GGXMixture, oxide: float = 0.0, thickness_nm: f
 
 
 def isotropic_recipes() -> dict[str, Recipe]:
-    """Return the 51 isotropic recipes by name, family first."""
+    """Return the functions that make the 51 isotropic materials, by name; names begin with the family."""
     white = "ohta/white 9.5 (.05 D)"
     recipes = {
         "felt_green": _felt("ohta/green", 0.55, 0.22, 0.9, 0.10),

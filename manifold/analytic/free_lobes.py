@@ -60,7 +60,7 @@ class Lobes:
         return np.where(shape < len(self.shapes), shape, -1)
 
     def values(self, wi: Array, wo: Array, chosen: Indices | None = None) -> Array:
-        """Return f of lobes, by default all, at unit vectors (P, 3) in 1/sr, 0 below the horizon: shape (n, P)."""
+        """Return the BRDFs of the chosen lobes, by default all, in 1/sr, shape (n, P); 0 below the horizon."""
         chosen = np.arange(len(self)) if chosen is None else chosen
         shape, power = self.shape_of(chosen), (chosen - 1) % (self.degree + 1)
         f = np.full((len(chosen), len(wi)), 1.0 / np.pi)

@@ -44,7 +44,7 @@ def _dielectric(cos_theta: Array, eta: Array) -> tuple[Array, Array]:
 
 
 def fresnel_conductor(cos_theta: Array, eta: Array, k: Array) -> Array:
-    """Return the reflectance of a medium of index eta + i k relative to air, (B,) or (1,), at cosines (n,) in [0, 1].
+    """Return the reflectance at cosines (n,) of a medium with the relative index eta + i k, each (B,) or (1,).
 
     Source: Born & Wolf, Principles of Optics, section 14.2, in the real form of Lagarde 2013, "Memo on Fresnel
     equations".

@@ -158,7 +158,7 @@ class GGX:
         return normalize(h @ self._inverse)  # M^-T h, row vectors
 
     def pdf_reflection(self, wi: Array, wo: Array) -> Array:
-        """Return the density in 1/sr of the mirror images of `wi` at visible normals, shape (...)."""
+        """Return the density in 1/sr with which reflection of `wi` at a random visible normal gives `wo`, shape (...)."""
         d = self.D(half_vector(wi, wo))
         return d / (2.0 * (self.stretched_length(wi) + wi[..., 2]))
 

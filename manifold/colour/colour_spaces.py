@@ -67,7 +67,7 @@ def _rec709_curve(codes: Array) -> Array:
 
 
 def of_primaries(primaries: Sequence[float], curves: tuple[Curve, ...] | None) -> ColourSpace | None:
-    """Return the space of primaries and white, x and y of red, green, blue and white; None if they are degenerate."""
+    """Return the colour space with the chromaticities x, y of red, green, blue and white; None if degenerate."""
     known = [key for key, xy in _PRIMARIES.items() if np.allclose(primaries, xy, atol=_SAME)]
     if known == ["rec709"]:
         return ColourSpace("sRGB", curves)

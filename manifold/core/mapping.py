@@ -104,7 +104,7 @@ class Log:
         return _log1p(xp.maximum(values, 0.0) / self.epsilon, xp)
 
     def inverse(self, mapped: Any, cosine_weight: Any = None, xp: Any = np) -> Any:
-        """Return the exponential, at least 0."""
+        """Return `epsilon (e^t - 1)`; negative mapped values become 0."""
         return _expm1(xp.maximum(mapped, 0.0), xp) * self.epsilon
 
     def slope(self, values: Array, cosine_weight: Array | None = None) -> Array:

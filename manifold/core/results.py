@@ -98,7 +98,7 @@ class Result:
         return {label: words for label, words in rows.items() if words is not None and words not in ((), [])}
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
+        """Return the fields that belong in JSON, as plain values."""
         return {
             name: plain(shown.json(self) if callable(shown.json) else getattr(self, name))
             for name, shown in self.entries.items()

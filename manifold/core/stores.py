@@ -54,7 +54,7 @@ class Store(Protocol):
         ...
 
     def is_folder(self, path: str) -> bool:
-        """Return whether there is such a folder."""
+        """Return whether the store has this folder."""
         ...
 
     def size(self, path: str) -> int | None:
@@ -117,7 +117,7 @@ class FolderStore:
         return [entry.name for entry in os.scandir(self.root / path) if entry.is_dir()]
 
     def is_folder(self, path: str) -> bool:
-        """Return whether there is such a folder."""
+        """Return whether the store has this folder."""
         return os.path.isdir(self.root / path)
 
     def size(self, path: str) -> int | None:
@@ -166,7 +166,7 @@ class ZipStore:
         return self._folders.get(path, set())
 
     def is_folder(self, path: str) -> bool:
-        """Return whether there is such a folder."""
+        """Return whether the store has this folder."""
         return path in self._folders
 
     def size(self, path: str) -> int | None:
@@ -248,7 +248,7 @@ class RemoteStore:
         return [name for name in inside if "/" not in name]
 
     def is_folder(self, path: str) -> bool:
-        """Return whether there is such a folder."""
+        """Return whether the store has this folder."""
         return path in self._groups
 
     def size(self, path: str) -> int | None:

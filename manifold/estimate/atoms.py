@@ -279,7 +279,7 @@ class LibraryAtoms:
         return means
 
     def predicted(self, weights: Array, bands: Bands | None = None) -> PredictedBRDF:
-        """Return the BRDF that weights (B, n) of atoms give in some bands, by default the bands of the library."""
+        """Return the mixture of the atoms with weights (B, n); its bands are by default those of the library."""
         m, measured = len(self.mixed) - 1, self.n_measured
         powers = range(m, m + (len(self.dictionary.exponents) - 1) * measured, measured)
         no_coats = np.zeros((len(weights), m - measured))

@@ -300,7 +300,7 @@ class Adjusted:
             warnings.warn(shortfall, NotReachedWarning, stacklevel=3)
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
+        """Return the fields as plain values for JSON."""
         known = {
             "latent": None if self.place is None or self.place.is_step(self.colours) else self.place.latent,
             "asked": self._nested(self.asked),
@@ -437,7 +437,7 @@ class Found:
     distance: float
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
+        """Return the fields as plain values for JSON."""
         return plain(vars(self) | {"gloss": {f"{a:g}": units for a, units in self.gloss.items()}})
 
 

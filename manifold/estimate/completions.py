@@ -404,7 +404,7 @@ class Photographed(Completed):
     @property
     @derived(row="residual", columns={"residual": ()}, words=lambda result: result.residuals_in_words())
     def residual(self) -> float:
-        """Residual of the pixels as they were given, in cube roots, root mean square over pictures."""
+        """Relative cube-root error of the pixels, as the root mean square over pictures."""
         return self.completion.solution.residual_of_pixels
 
     @property
@@ -499,7 +499,7 @@ def complete(
     instrument: str | None = None,
     options: OutputOptions = COMPLETION_OPTIONS,
 ) -> Completed:
-    """Complete observations of one material with a library as prior, and write the BRDF as an RGL file.
+    """Estimate a BRDF from observations of one material, with a library as prior, and write it as an RGL file.
 
     Args:
         library: path of the library of measured materials.

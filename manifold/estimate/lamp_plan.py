@@ -1,4 +1,4 @@
-"""Predicts the errors of estimates from photographs of a ball for lamp positions, and suggests the next positions.
+"""Suggests lamp positions for photographs of a ball: those from which the estimated BRDF has the smallest errors.
 
 Each of the library's materials is left out and estimated from simulated photographs with the others. For an isotropic
 material, only the angle between lamp and camera matters.

@@ -1,4 +1,4 @@
-"""Suggests the directions of the next readings, from three kinds of uncertainty: hypotheses, colours, and residual."""
+"""Suggests the directions of the next readings: those that reduce the uncertainty of the completed BRDF most."""
 
 from __future__ import annotations
 

@@ -105,10 +105,10 @@ def cross_validate(
     own_tables: int = 1,
     on_material: Callable[[int], None] | None = None,
 ) -> Encoded:
-    """Encode every material after a fit to the training materials of its split; each is predicted at most once.
+    """Predict the left-out materials of every split by a method that is fitted to its training materials.
 
-    `lap` runs a fit and measures its time. The first `own_tables` fits compute mapped values and their products
-    themselves, which their time includes. `on_material` is called with the number of finished materials.
+    A material is left out at most once. `lap` runs a fit and measures its time. The first `own_tables` fits compute
+    mapped values and their inner products again, so that their times include this work. `on_material` is called with the number of finished materials.
     """
     found: dict[int, Combination] = {}
     fit_times, encode_times = [], []

@@ -91,12 +91,12 @@ class Subject:
 
     @cached_property
     def principled_errors(self) -> Errors[float] | None:
-        """Return the errors of the fit; None without a material."""
+        """Return the errors of the fit of `principled`; None if there is no material."""
         return None if self.material is None else ball_errors(self.fitted, self.material)
 
 
 def subject_of_source(source: MaterialSource, against: Path | None) -> Subject:
-    """Return the material that a user names, fitted; `against` is described in `subject_of`."""
+    """Fit the material that a user names, and return both; `against` is described in `subject_of`."""
     if isinstance(source, FileSource):
         return subject_of(source.path, against)
     if against is not None:

@@ -21,7 +21,7 @@ _MOST_HIDDEN, _BESIDE = np.cos(np.deg2rad([25.0, 45.0]))
 
 
 def hidden(wi: Array, wo: Array, values: Array) -> Mask:
-    """Return a mask (P,) of zeros that are not readings, because the receiver blocks the light.
+    """Return a mask (P,) of the rows that are zero only because the receiver blocks the light.
 
     The receiver is assumed to block the light if, at each incidence, all readings within 25 degrees of the light are
     zero in all bands, but most readings up to 45 degrees are not. For a mirror, those would be zero as well.

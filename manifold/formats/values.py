@@ -154,8 +154,8 @@ def assumed_unit(raw: Sequence[tuple[Array, Array, Array]], context: ErrorContex
 
     Values are reflectance factors if, as a BRDF, they would reflect more light than arrives in at least an eighth of
     the bands; fewer bands may be saturated. If only a single value indicates this, they stay a BRDF, with a note.
-    Factors are in percent if their median over bands is too bright as well, or an eighth of the bands by more than
-    fluorescence can explain. Raises FileFormatError if they are too bright in percent too.
+    Factors are in percent if their median over bands is too bright as well, or if an eighth of the bands are brighter
+    than fluorescence can explain. Raises FileFormatError if they are too bright even in percent.
 
     `raw` holds wi (P, 3), wo (P, 3) and values (P, B) of each sample of one file.
     """

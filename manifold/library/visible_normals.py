@@ -63,7 +63,7 @@ def encode(file: BsdfFile) -> tuple[Differences, Slices]:
 
 
 def decode(differences: Differences, slices: Slices, ndf: Array, phi_i_rad: Array) -> Array:
-    """Return the encoded `vndf`, float32, identical bit for bit on every machine."""
+    """Decode `vndf`, float32; the result is identical bit for bit on every machine."""
     vndf = np.empty(differences.shape, np.float32)
     azimuths = _azimuths(phi_i_rad)
     for p, t in np.ndindex(differences.shape[:2]):

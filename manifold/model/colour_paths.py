@@ -137,7 +137,7 @@ def between(vertices: Array, coordinates: Array) -> tuple[Indices, Array]:
 
 
 def interpolate(vertices: Array, coordinates: Array, at_vertices: Array) -> Array:
-    """Interpolate values at vertices (V,), shape (V, C), to coordinates (B,) of their path, shape (B, C)."""
+    """Interpolate values (V, C), given at the vertices (V,) of a path, to coordinates (B,) on it; shape (B, C)."""
     k, t = between(vertices, coordinates)
     t = t[:, None].astype(at_vertices.dtype)
     return np.asarray((1.0 - t) * at_vertices[k] + t * at_vertices[k + 1])

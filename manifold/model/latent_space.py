@@ -126,7 +126,7 @@ class LatentSpace(ABC):
 
     @abstractmethod
     def weights(self, x: Array, colours: Array | None) -> Array:
-        """Return the weights of a prediction at x (Q,), for materials (N,) or for samples in every band (B, n)."""
+        """Return the weights at x (Q,): of materials, (N,), or with given colours, of samples in every band, (B, n)."""
 
     @abstractmethod
     def material_weights(self, X: Array, colours: Array | None) -> Array:

@@ -77,7 +77,7 @@ class Posterior:
         return f"{self.std:.3g} of {self.unit}; {self.relative:.2g} of the prior's"
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
+        """Return the fields as plain values for JSON."""
         return plain(vars(self))
 
 

@@ -121,7 +121,7 @@ def reconstruct(
 
     Args:
         materials: the materials of the library.
-        sample_bands: increasing indices of the bands that are samples, shape (B_s,).
+        sample_bands: increasing indices of the bands that serve as basis functions, shape (B_s,).
         brdf: the material to describe, in the bands of the library.
         numbers: largest number of parameters, see `ComparedValues.weights`; None sets no limit.
     """

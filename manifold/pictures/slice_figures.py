@@ -85,7 +85,7 @@ def draw_slices(
 
 
 def rusinkiewicz_images(sources: Sequence[ShownBRDF]) -> Figure:
-    """Draw colour over theta_d (down) and theta_h (right) at phi_d = 90 degrees, the cube root of f, one image each.
+    """Draw the cube root of f as a colour over theta_h (right) and theta_d (down), at phi_d = 90 degrees.
 
     All images share one exposure: white is the value that 0.5 % of the values below theta_d = 75 degrees exceed, or
     three times their median, so that colours beside highlights are visible. Unmeasured values (NaN) are white.

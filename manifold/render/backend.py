@@ -64,7 +64,7 @@ class Backend:
         return self.kind == "llvm"
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
+        """Return the fields as plain values for JSON."""
         return {
             "kind": self.kind,
             "library": None if self.library is None else str(self.library),

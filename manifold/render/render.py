@@ -38,7 +38,7 @@ class RenderSettings:
     Attributes:
         size: pixels per side.
         samples: light paths per pixel.
-        seed: seed of the noise; equal seeds give equal pictures, to rounding: threads add up samples of a pixel.
+        seed: seed of the noise; equal seeds give equal pictures, up to the order in which threads add samples.
         environment: linear RGB radiance (H, W, 3) in the layout of `lights.studio`, which is the default.
         window: the part of the picture that is rendered, as left, top, width and height in pixels; all of it if None.
     """

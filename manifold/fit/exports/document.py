@@ -151,7 +151,7 @@ class Export:
         return ", ".join(each) or str(self.errors)
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
+        """Return the entries of the command's JSON as plain values."""
         return self.about() | {"parameters": dict(self.parameters)}
 
     def json_file(self, conventions: Mapping[str, str], **more: Any) -> bytes:

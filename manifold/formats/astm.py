@@ -58,7 +58,7 @@ _STEEP_INCIDENCE, _STEEP_WEIGHT = np.deg2rad(50.0), 0.5  # its incidence of 60 d
 
 @dataclass(frozen=True)
 class _Columns:
-    """The columns of the rows, in order: names of angles, heads of bands, and of uncertainties.
+    """The columns of the rows, in order: names of angles, headings of bands, and of uncertainties.
 
     Attributes:
         kind: the quantity of the values; None if the file names none.
@@ -135,7 +135,7 @@ def _columns(text: str, measured: str, context: ErrorContext, where: str) -> _Co
         )
     if len(bands) == 1 and value_head(re.sub(r"_\d$", "", bands[0])) is None:  # BRDF_1 is no wavelength
         raise context.error(
-            f"column {bands[0][:24]}, expected values with a head such as 465nm or BRDF", where
+            f"column {bands[0][:24]}, expected values with a heading such as 465nm or BRDF", where
         )
     unit = angle_unit([head for head in heads if head not in (*bands, *uncertain)], context, where)
     # Goniometers call the measurement "Reflectance" where it is no transmission, whatever the values are.

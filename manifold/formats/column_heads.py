@@ -169,7 +169,7 @@ def angle_names(heads: Sequence[str]) -> list[str | None]:
 def angle_unit(
     heads: Sequence[str], context: ErrorContext, where: str
 ) -> Literal["degrees", "radians"] | None:
-    """Return the unit that heads of angles name, or None. Raises FileFormatError if they name both."""
+    """Return the unit that headings of angles name, or None. Raises FileFormatError if they name both."""
     is_degrees, is_radians = (any(unit.search(h.lower()) for h in heads) for unit in (_DEGREES, _RADIANS))
     if is_degrees and is_radians:
         raise context.error("angles in degrees and in radians, expected one unit", where)
@@ -177,7 +177,7 @@ def angle_unit(
 
 
 def value_head(head: str) -> ValueHead | None:
-    """Parse the head of a column of values, such as `BRDF (633 nm)`, `R400 [%]`; return None for others."""
+    """Parse the heading of a column of values, such as `BRDF (633 nm)`, `R400 [%]`; return None for others."""
     if not head.strip() or len(head) > _LONGEST:
         return None
     text = quantities.plain(head)
@@ -207,7 +207,7 @@ def value_head(head: str) -> ValueHead | None:
 
 
 def wavelength(head: str) -> float | None:
-    """Return the wavelength in nm that a column's head names, or None."""
+    """Return the wavelength in nm that the heading of a column names, or None."""
     said = value_head(head)
     return said.nm if said is not None else None
 
@@ -241,19 +241,19 @@ def is_wavelength(head: str) -> bool:
 
 
 def is_wavenumber(head: str) -> bool:
-    """Return whether a column's head says that its cells are wavenumbers."""
+    """Return whether the heading of a column says that its cells are wavenumbers."""
     unit = wavelength_unit(head)
     return unit is not None and "cm" in unit
 
 
 def channel(head: str) -> str | None:
-    """Return `r`, `g`, `b`, `x`, `y` or `z`, which a column's head names, or None."""
+    """Return `r`, `g`, `b`, `x`, `y` or `z`, which the heading of a column names, or None."""
     said = value_head(head)
     return None if said is None else said.channel
 
 
 def quantity(heads: Sequence[str], context: ErrorContext, where: str) -> Quantity | None:
-    """Return the quantity that the columns' heads name, or None.
+    """Return the quantity that the headings of columns name, or None.
 
     Raises:
         FileFormatError: heads name different quantities.
@@ -269,7 +269,7 @@ def quantity(heads: Sequence[str], context: ErrorContext, where: str) -> Quantit
 
 
 def is_percent(heads: Sequence[str]) -> bool:
-    """Return whether heads of values name percent."""
+    """Return whether headings of values name percent."""
     return any(map(quantities.is_percent, heads))
 
 
@@ -298,7 +298,7 @@ _COVERAGE = re.compile(r"\bk\s*=\s*(\d(?:[.,]\d+)?)")
 
 
 def uncertainty_head(head: str) -> UncertaintyHead | None:
-    """Parse the head of a column of uncertainties, such as `Std. Dev.`, `u(BRDF)`; return None for others."""
+    """Parse the heading of a column of uncertainties, such as `Std. Dev.`, `u(BRDF)`; return None for others."""
     if len(head) > _LONGEST:
         return None
     text = quantities.plain(re.sub(r"\u00b1|\+\s*/?\s*-", " std ", head)).replace("\u03c3", "sigma")
@@ -339,7 +339,7 @@ class LabHead(NamedTuple):
 
 
 def lab_head(head: str) -> LabHead | None:
-    """Parse the head of a column of CIELAB values; return None for others."""
+    """Parse the heading of a column of CIELAB values; return None for others."""
     found = _LAB.fullmatch(head.strip()) if len(head) <= _LONGEST else None
     if found is None:
         return None
@@ -395,7 +395,7 @@ def lab_columns(
 
 
 def plain_head(head: str) -> str:
-    """Return the words of a head in lower case, without anything in brackets."""
+    """Return the words of a heading in lower case, without anything in brackets."""
     return (
         " ".join(re.findall(r"[^\W\d_]+", _BRACKETS.sub("", head.lower()))) if len(head) <= _LONGEST else ""
     )

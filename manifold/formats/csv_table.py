@@ -151,7 +151,7 @@ def _no_header(lines: list[str], context: ErrorContext) -> FileFormatError:
                     remedy=NEW_HEADER,
                 )
             if (unknown := not_understood(row)) is not None:
-                fault = f"the head {unknown} is not understood" if unknown else "one elevation"
+                fault = f"the heading {unknown} is not understood" if unknown else "one elevation"
                 return context.error(
                     f"a header {said}: {fault}, expected both elevations, such as theta_i, theta_o",
                     remedy=NEW_HEADER,
@@ -228,6 +228,6 @@ def angles_deg(readings: Readings) -> Array:
 
 
 def band_heads(readings: Readings) -> list[str]:
-    """Return the heads of the bands: `465nm`, or `R`, `G`, `B`."""
+    """Return the headings of the bands: `465nm`, or `R`, `G`, `B`."""
     nm = readings.bands.wavelengths_nm
     return ["R", "G", "B"] if nm is None else [f"{w:.9g}nm" for w in nm]

@@ -211,7 +211,7 @@ def _titles(sheets: Mapping[str, list[list[Cell]]]) -> list[str]:
 
 
 def _viewing(sheets: Mapping[str, list[list[Cell]]]) -> Viewing:
-    """Return the light and observer of the workbook's own colours, which a title or the heads of its columns name."""
+    """Return the light and observer of the workbook's own colours, which a title or its headings name."""
     for cell in _titles(sheets):
         lab = lab_head(cell)
         if found := viewing_in(cell) or (lab and lab.viewing):

@@ -187,7 +187,7 @@ _LOG_OF_RECIPROCAL = re.compile(r"\b(lg|log)\W*1\s*/\s*r(efl\w*)?\b|-\s*(lg|log)
 
 
 def spectrum_kinds(head: str) -> set[SpectrumKind]:
-    """Return the kinds of spectra that the words of a column's head name; empty if they name none."""
+    """Return the kinds of spectra that the words of a column's heading name; empty if they name none."""
     text = plain(head)
     if _LOG_OF_RECIPROCAL.search(text):
         return {"log"}

@@ -73,7 +73,7 @@ def read_spectrum(path: Path, wanted: Wanted) -> tuple[Array, Array]:
     """
     advice = _WHOLE.format(wanted)
     content = disk.read_bytes(path, advice=advice, most=disk.MOST_TEXT)
-    context = ErrorContext(path, f"give it columns with heads such as '{_HEADS[wanted]}'")
+    context = ErrorContext(path, f"give it columns with headings such as '{_HEADS[wanted]}'")
     text = decode(content)
     if "\0" in text or text.startswith("##"):
         raise context.error(f"found {name_format(content[:4096])}, {advice}", remedy="export it as text")
@@ -100,10 +100,10 @@ def read_spectrum(path: Path, wanted: Wanted) -> tuple[Array, Array]:
     order = np.argsort(nm)
     nm, values = nm[order], values[order]
     if not SHORTEST_NM <= nm[0] <= nm[-1] <= LONGEST_NM:
-        said = f"as the head '{table.heads[column][:40]}' says" if table.heads else "without a head"
+        said = f"as the heading '{table.heads[column][:40]}' says" if table.heads else "without a heading"
         raise context.error(
             f"wavelengths from {nm[0]:g} to {nm[-1]:g} nm, {said}, expected {SHORTEST_NM:g} to {LONGEST_NM:g} nm",
-            remedy="correct the unit in the head, such as Wavelength (um)",
+            remedy="correct the unit in the heading, such as Wavelength (um)",
         )
     return nm, values if wanted == "sensitivity" else values[:, 0]
 
@@ -149,14 +149,14 @@ def _table(lines: list[str], wanted: Wanted, context: ErrorContext) -> _Columns:
             )
         if not is_header and _WAVENUMBERS_ABOVE.search(above[-1]):
             raise context.error(
-                f"found '{above[-1].strip()[:60]}' above {width} columns, expected a head for each"
+                f"found '{above[-1].strip()[:60]}' above {width} columns, expected a heading for each"
             )
         heads, above = (heads, above[:-1]) if is_header else ([], above)
     return _Columns(heads, np.array(rows), above)
 
 
 def _units_above(above: list[str], width: int) -> list[str]:
-    """Return the heads of two columns whose units lines above state, as in files of JASCO (`XUNITS`) and ECOSTRESS."""
+    """Return the headings of two columns whose units are in lines above, as in JASCO files (`XUNITS`) and ECOSTRESS."""
     said = {found[1].upper(): found[2] for line in above if (found := _UNITS_LINE.match(line)) is not None}
     if not width == len(said) == 2:
         return []
@@ -164,7 +164,7 @@ def _units_above(above: list[str], width: int) -> list[str]:
 
 
 def _named_above(above: list[str], width: int) -> list[str]:
-    """Return the heads of columns that a line further above names, apart by several blanks, as in files of USGS."""
+    """Return the headings of columns that a line further above names, apart by several blanks, as in files of USGS."""
     lines = (re.split(r"\s{2,}|\t", line.strip()) for line in above)
     named = (heads for heads in lines if len(heads) == width > 2)
     return next((heads for heads in named if any(wavelength_unit(head) is not None for head in heads)), [])
@@ -209,7 +209,7 @@ def _chosen(table: _Columns, columns: list[int], wanted: Wanted, context: ErrorC
     if not table.heads:
         if len(columns) != count:
             raise context.error(
-                f"{len(columns) + 1} columns without heads, expected {count + 1}, or heads that name them"
+                f"{len(columns) + 1} columns without headings, expected {count + 1}, or headings that name them"
             )
         _require_kind(_said_above(table), " ".join(table.above), wanted, context)
         return columns

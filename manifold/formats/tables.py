@@ -147,7 +147,7 @@ class Columns:
     own: dict[str, int] = field(default_factory=dict)
 
     def seen_under(self, texts: Iterable[str]) -> Columns:
-        """Return the columns with the light and observer that one of the texts names, if no head does."""
+        """Return the columns with the light and observer that one of the texts names, if no heading does."""
         named = column_heads.viewing_of_lines(texts)
         if not self.is_viewing_assumed or named is None:
             return self
@@ -202,9 +202,9 @@ def resembles_header(heads: Sequence[str]) -> bool:
 
 
 def not_understood(heads: Sequence[str]) -> str | None:
-    """Return the head without a meaning in a header of values and one elevation; None if cells are no such header.
+    """Return the heading that is not understood in a header of values and one elevation; None for other cells.
 
-    It is empty if all heads have a meaning.
+    It is empty if all headings are understood.
 
     >>> not_understood(["AOI", "AOR", "BRDF"]), not_understood(["the", "incidence", "of", "BRDF"])
     ('AOR', None)
@@ -390,7 +390,7 @@ def _from_lab(table: Table, index: int, axes: list[int]) -> Table:
 
 
 def _band(table: Table, row: int, column: int, unit: str, context: ErrorContext) -> str:
-    """Return a cell's wavelength as the head of a band; a bare number is in its column's unit."""
+    """Return a cell's wavelength as the heading of a band; a bare number is in its column's unit."""
     text = table.text(row, column)
     nm = wavelength_nm(text, unit)
     head = "" if nm is None else f"{nm:.9g}nm"
@@ -678,7 +678,7 @@ def _value(table: Table, index: int, column: int, context: ErrorContext) -> floa
 def _is_degrees(
     table: Table, columns: Columns, samples: Mapping[tuple[str, ...], _Sample], context: ErrorContext
 ) -> bool:
-    """Return whether angles are in degrees: as heads or cells say, or because they are too large for radians."""
+    """Return whether angles are in degrees: as headings or cells say, or because they are too large for radians."""
     where = table.where(columns.row)
     unit = column_heads.angle_unit([columns.heads[k] for k in columns.angles.values()], context, where)
     cells = [[_measure(text) for text in row] for s in samples.values() for row in s.keys]
@@ -690,7 +690,7 @@ def _is_degrees(
     keys = np.array([[0.0 if measure is None else measure.value for measure in row] for row in cells])
     if np.any(keys) and not exceed_radians(dict(zip(columns.angles, keys.T, strict=True))):
         raise context.error(
-            "angles that may be degrees or radians, expected heads such as theta_i (deg)",
+            "angles that may be degrees or radians, expected headings such as theta_i (deg)",
             where,
             remedy=NEW_HEADER,
         )

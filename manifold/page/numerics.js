@@ -596,7 +596,7 @@ function separatorOf(lines) {
   return rows.every((row) => row.length > 1 && row.every((cell) => NUMBER.test(cell))) ? null : ",";
 }
 
-/** The column of reflectances among those of heads, and whether they are percent. Throws an Error where heads are not understood. */
+/** The column of reflectances among those of headings, and whether they are percent. Throws an Error if headings are not understood. */
 function reflectanceColumn(heads) {
   const shown = heads.join(", ").slice(0, 60);
   const nm = heads.findIndex((head) => WAVELENGTH_HEAD.test(head));
@@ -622,7 +622,7 @@ export function readReflectance(text) {
   if (above.length === width && (!isComment(lines[first - 1]) || above.some((head) => WAVELENGTH_HEAD.test(head)))) {
     ({ column, isPercent } = reflectanceColumn(above));
   } else if (width > 2) {
-    throw new Error(`expected two columns, or heads that name them, found ${width}`);
+    throw new Error(`expected two columns, or headings that name them, found ${width}`);
   } else if (above.length && OTHER_HEAD.test(lines[first - 1])) {
     throw new Error(`expected reflectance, found ${lines[first - 1].trim().slice(0, 60)}`);
   }

@@ -316,7 +316,7 @@ def test_few_values_that_look_like_factors_stay_a_brdf_with_a_note(factor, is_sa
         ("theta_i,phi_i,theta_o,phi_o,465,465\n10,20,30,40,5,6\n", "two columns of '465'"),
         (
             "theta_i,phi_i,theta_o,phi_o,465\n1,2,1.5,3,5\n",
-            "degrees or radians, expected heads such as theta_i .deg",
+            "degrees or radians, expected headings such as theta_i .deg",
         ),
         ("theta_i (deg),phi_i (rad),theta_o,phi_o,465\n1,2,1.5,3,5\n", "expected one unit"),
         ("theta_i,phi_i,theta_o,dphi,465\n10,20,30,40,5\n", "dphi beside phi_i"),

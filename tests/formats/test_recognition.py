@@ -62,12 +62,12 @@ def test_names_decide_where_the_content_says_nothing(tmp_path):
     [
         (
             "AOI,AOR,BRDF\n30,30,0.5\n",
-            "a header AOI, AOR, BRDF: the head AOR is not understood, expected both elev",
+            "a header AOI, AOR, BRDF: the heading AOR is not understood, expected both elev",
         ),
-        ("BRDF;AOR;AOI\n0,5;30;30\n", "a header BRDF, AOR, AOI: the head AOR is not understood"),
+        ("BRDF;AOR;AOI\n0,5;30;30\n", "a header BRDF, AOR, AOI: the heading AOR is not understood"),
         (
             "incidence\tspecular angle\tReflectance\n30\t30\t0.5\n",
-            "the head specular angle is not understood",
+            "the heading specular angle is not understood",
         ),
         (
             "theta_o,BRDF 633nm\n30,0.5\n",

@@ -146,7 +146,7 @@ def test_decimal_commas_are_read_beside_other_separators(tmp_path, content):
         ("400 0.2\n600 0.4\n410 0.1\n610 0.2\n", "wavelengths go back from 600 to 410 nm"),
         ("0.5 0.2\n0.6 0.3\n", "covers 500 to 600 nm"),  # micrometres
         ("500 -0.2\n600 0.3\n", "expected 0 to 1"),
-        ("380,0,9\n500,0,1\n780,0,1\n", "3 columns without heads"),  # columns, or a decimal comma?
+        ("380,0,9\n500,0,1\n780,0,1\n", "3 columns without headings"),  # columns, or a decimal comma?
         ("380,0.9\n500,0,1\n780,0.1\n", "line 2 is '500,0,1', expected a wavelength in nm and a reflectance"),
         ("380 0,5\n500 0,1\n780 0,1\n600 0,1,2\n", "line 4 is '600 0,1,2'"),
         ("380 1.234,5\n500 0,1\n780 0,1\n", "line 1 is '380 1.234,5'"),

@@ -198,7 +198,7 @@ def test_valleys_and_curves(formulas, rng):
         ("nm,red,blue\n400,0.5,0.5\n700,0.25,0.5\n", "one column of reflectance"),
         ("nm,Absorbance\n400,0.5\n700,0.25\n", "one column of reflectance"),
         ("Wavenumber (cm-1),R\n9000,0.5\n5000,0.25\n", "wavelengths in nm"),
-        ("400,0,5\n700,0,25", "two columns, or heads"),
+        ("400,0,5\n700,0,25", "two columns, or headings"),
         ("400,0.5\n700,0,25", "in the line “700,0,25”"),
         ("400 50\n700 40", "percent"),
         ("0.4 0.5\n700 0.25", "wavelengths in nm"),

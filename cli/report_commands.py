@@ -1,4 +1,4 @@
-"""Commands that evaluate: reports and charts of held-out errors, failure modes, budgets of scenes; and the demo."""
+"""Commands that evaluate: reports and charts of left-out errors, failure modes, budgets of scenes; and the demo."""
 
 from __future__ import annotations
 

@@ -294,7 +294,7 @@ def _foil(spectrum: str, along: float, across: float) -> Recipe:
 
 
 def anisotropic_recipes() -> dict[str, Recipe]:
-    """Return the 11 anisotropic recipes by name, family first; all are invariant under half a turn."""
+    """Return the functions that make the 11 anisotropic materials, by name; all are invariant under half a turn."""
     skew = np.array([[6.0, 4.0, 0.0], [0.0, 3.0, 0.0], [0.0, 0.0, 1.0]])
     return {
         "brushed_aluminium": _metal("Al", GGX.anisotropic(0.08, 0.30)),

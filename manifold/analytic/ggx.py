@@ -126,7 +126,7 @@ class GGX:
         return np.sqrt(_squared_length(self._inverse, w))
 
     def D(self, wm: Array) -> Array:
-        """Return the density of microfacet normals per solid angle and surface area in 1/sr, shape (...); 0 below.
+        """Return the density of microfacet normals in 1/sr per surface area, shape (...); 0 below the horizon.
 
         It is normalised so that the integral of D(wm) <wm, n> over the hemisphere is 1.
         """
@@ -158,7 +158,7 @@ class GGX:
         return normalize(h @ self._inverse)  # M^-T h, row vectors
 
     def pdf_reflection(self, wi: Array, wo: Array) -> Array:
-        """Return the density in 1/sr with which reflection of `wi` at a random visible normal gives `wo`, shape (...)."""
+        """Return the density in 1/sr with which a random visible normal reflects `wi` to `wo`, shape (...)."""
         d = self.D(half_vector(wi, wo))
         return d / (2.0 * (self.stretched_length(wi) + wi[..., 2]))
 
@@ -248,7 +248,7 @@ class GGXMixture:
         return normals
 
     def pdf_reflection(self, wi: Array, wo: Array) -> Array:
-        """Return the density in 1/sr of mirrored visible normals, shape (...)."""
+        """Return the density in 1/sr with which a random visible normal reflects `wi` to `wo`, shape (...)."""
         return sum(share * ggx.pdf_reflection(wi, wo) for share, ggx in self._surfaces)  # type: ignore[return-value]
 
     def albedo_table(self, reflectance: Array) -> MixedAlbedo:

@@ -1,4 +1,4 @@
-"""Evaluates Mitsuba's `principled` for opaque surfaces in NumPy, with derivatives by its parameters.
+"""Evaluates Mitsuba's `principled` for opaque surfaces in NumPy, with derivatives with respect to its parameters.
 
 At a direction pair the model is affine in the base colour `c` and in its tint `c / luminance(c)`; the shared
 parameters change only the three coefficients. `Principled` evaluates the coefficients for many parameter vectors at
@@ -130,7 +130,7 @@ class Principled:
         return self._assemble(values, self._lobes(values)[0])
 
     def slopes(self, values: Mapping[str, float], names: Collection[str]) -> tuple[Array, dict[str, Array]]:
-        """Return the coefficients (3, M) of one vector of shared parameters, and their derivatives by the named ones.
+        """Return the coefficients (3, M) for one vector of shared parameters, and their derivatives in the named ones.
 
         The coefficients are affine in the lobes that a parameter changes, and in parameters that change no lobe, so
         finite differences are exact derivatives.

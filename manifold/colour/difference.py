@@ -1,6 +1,6 @@
 """Computes colour differences, CIEDE2000 and spectral angle, at the geometries of multi-angle instruments.
 
-Light comes in at 45 degrees; the detectors stand in the plane of incidence at aspecular angles of -15, 15, 25,
+Light comes in at 45 degrees; the detectors lie in the plane of incidence at aspecular angles of -15, 15, 25,
 45, 75 and 110 degrees, counted from the mirror direction towards the light, as in ASTM E2194 and E2539 for
 metallic and interference coatings. The compared quantity is the radiance factor, pi f, which is 1 for a perfect
 diffuser in all directions, and may be far above 1 near the mirror direction.
@@ -70,7 +70,7 @@ def lab_values(f: Array, bands: Bands, viewing: Viewing = DAYLIGHT) -> Array:
 
 
 def is_beyond_reflectances(lab: Array, share: float = BEYOND_COLOURS) -> bool:
-    """Return whether no reflectance from 0 to 1 has this CIELAB colour (3,) under D65, by a share of its norm.
+    """Return whether a CIELAB colour (3,) is clearly outside the colours of reflectances from 0 to 1 under D65.
 
     By default, fluorescent paints lie within.
     """

@@ -188,7 +188,7 @@ class RusinkiewiczGrid:
     def named(cls, name: str) -> RusinkiewiczGrid:
         """Return a grid by its name.
 
-        `default` is 45 x 23 x 12, for held-out errors; `hikichi` is 90 x 90 x 180 (Hikichi & Iwasaki, eq.
+        `default` is 45 x 23 x 12, for left-out errors; `hikichi` is 90 x 90 x 180 (Hikichi & Iwasaki, eq.
         22).
         """
         return NAMED_GRIDS[name]

@@ -1,4 +1,4 @@
-"""The built-in library and model, with which the package works without files of the user.
+"""The built-in library and model, with which commands work if the user has no files.
 
 The name `built-in` stands for them wherever a path of a library or model is accepted. Scenes and JSON use
 `built-in@HASH`, which raises an error in a version of the package with another library or model. `tools/built_in.py`

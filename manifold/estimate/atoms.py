@@ -184,7 +184,7 @@ class LibraryAtoms:
         return len(self.names) * len(self.atom_bands)
 
     def usable(self, prior: Array) -> Mask:
-        """Return a mask (n,) of usable atoms: the library's, the Lambertian, and coats of sufficient prior (B, n)."""
+        """Return a mask (n,) of usable atoms: the library's, the Lambertian, and coats with enough `prior` (B, n)."""
         totals = np.bincount(self.material_of, prior.mean(axis=0))
         totals[: len(self.names)] = totals[-1] = np.inf
         return np.asarray(totals[self.material_of] > _LEAST_COAT)

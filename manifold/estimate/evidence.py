@@ -37,7 +37,7 @@ class Evidence:
         gloss: gloss units by angle in degrees.
         at: cube roots of atoms at the readings, (n, P), and at the gloss, (n, G); None if there are pictures.
         pictures: rows (pixels) of every picture in each of C channels, with the exposure of the picture.
-        exposure: ratio of the pictures to light times material; None if it is unknown.
+        exposure: ratio of the pictures' values to those that light and material predict; None if unknown.
         each: whether every picture has its own exposure, which varies about the common one.
         of_readings: rows of the readings in each channel; empty without pictures.
         of_gloss: rows of the gloss in each channel; empty without pictures.

@@ -140,9 +140,9 @@ class Calibration:
         )
 
     def at(self, plausible: Errors[float], residual: float, known: Mask) -> Errors[float]:
-        """Return the errors expected from plausible errors and a residual, by some of the left-out materials.
+        """Return the errors expected from plausible errors and a residual.
 
-        `known` masks these materials, shape (N,).
+        They are estimated from the left-out materials that the mask `known` (N,) selects.
         """
         beyond = max(residual / max(float(self.residuals[known].max()), TINY), 1.0)
         expected = {}

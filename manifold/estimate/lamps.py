@@ -117,7 +117,7 @@ _OF_DIRECTIONS, _OF_INTENSITIES, _OF_NAMES = "light_directions.txt", "light_inte
 
 
 def intensities_beside(path: Path) -> Path | None:
-    """Return the file of intensities that belongs to a file of directions in data sets laid out as DiLiGenT.
+    """Return the file of intensities that belongs to a file of directions in data sets like DiLiGenT.
 
     Source: Shi et al. 2016, "A Benchmark Dataset and Evaluation for Non-Lambertian and Uncalibrated Photometric
     Stereo".
@@ -133,7 +133,7 @@ def intensity_notes(path: Path) -> tuple[str, ...]:
 
 
 def require_in_front(lamps: Sequence[Lamp], pictures: Sequence[str], least: float, of: str) -> None:
-    """Raise UsageError that names pictures whose lamps have a z component below `least`; `of` is what they light."""
+    """Raise UsageError for lamps with a z component below `least`; `of` names what they light."""
     names = [
         f"{name} ({lamp})" for name, lamp in zip(pictures, lamps, strict=True) if lamp.direction[2] < least
     ]

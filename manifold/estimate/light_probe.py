@@ -166,8 +166,8 @@ def given_encoding_notes(
 ) -> tuple[str, ...]:
     """Return a warning if photographs seem to be encoded otherwise than they were read, given their far lamps.
 
-    That is so if the shading agrees with the lamps only when the photographs are read otherwise. Circles that were not
-    given, but found, are searched again, because the encoding moves them as well.
+    That is so if the shading agrees with the lamps only when the photographs are read otherwise. Estimated circles are
+    searched again, because the encoding moves them as well.
     """
     chosen = evenly_spaced(len(photographs), _OF_ENCODING).tolist()
     read = [photographs[k] for k in chosen]

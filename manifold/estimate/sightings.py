@@ -77,11 +77,10 @@ class PhotoRequest:
         responses: file of the camera's sensitivities; None for sRGB.
         lamps: lamps of the photographs, in the form of `lamps.parse_lamp`; `found` estimates them from the
             photographs.
-        each: whether every photograph has its own exposure; None if that is so unless files of lamps state
-            intensities.
+        each: whether every photograph has its own exposure; None means yes, unless files of lamps state intensities.
         grey: grey card that faces the camera beside the ball, `X,Y,W,H,REFLECTANCE`, in pixels; None without one.
         is_linear: whether the values of all files are linear, or encoded for a display, see
-            `colour.picture_files.read_picture`; None as each file says.
+            `colour.picture_files.read_picture`; None follows each file.
         dark: photograph without light, which is subtracted from all others; None without one.
         light_balls: photographs of a mirror ball by the same camera, in place of environments, `PICTURE` or
             `PICTURE@X,Y,R` with its outline.

@@ -108,7 +108,8 @@ def cross_validate(
     """Predict the left-out materials of every split by a method that is fitted to its training materials.
 
     A material is left out at most once. `lap` runs a fit and measures its time. The first `own_tables` fits compute
-    mapped values and their inner products again, so that their times include this work. `on_material` is called with the number of finished materials.
+    mapped values and their inner products again, so that their times include this work. `on_material` is called with
+    the number of finished materials.
     """
     found: dict[int, Combination] = {}
     fit_times, encode_times = [], []
@@ -132,7 +133,7 @@ def cross_validate(
 
 
 def encode_all(data: Data, method: Method, on_material: Callable[[int], None] | None = None) -> Encoded:
-    """Encode every material, by fits without it if the method refits, otherwise by one fit to all."""
+    """Predict every material, by fits without it if the method refits, otherwise by one fit to all."""
     everything = np.arange(data.n_materials)
     splits = leave_out(data.n_materials) if method.refits else [(everything, everything)]
     return cross_validate(data, method.fit, splits, on_material=on_material)

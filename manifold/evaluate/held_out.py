@@ -1,4 +1,4 @@
-"""Measures the held-out errors and costs of settings by cross-validation."""
+"""Measures the errors and costs of settings by cross-validation."""
 
 from __future__ import annotations
 

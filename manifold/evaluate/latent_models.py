@@ -1,4 +1,4 @@
-"""Latent variable models as held-out methods, which are fitted to some materials and predict others."""
+"""Latent variable models as methods that are fitted to some materials and predict others."""
 
 from __future__ import annotations
 

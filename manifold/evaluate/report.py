@@ -107,7 +107,7 @@ class Report:
         n_pairs: size of the grid, including pairs below the horizon.
         settings: settings of the model.
         condition: condition number kappa(K).
-        methods: results of the methods, reconstruction first, then held-out methods.
+        methods: results of the methods, reconstruction first, then methods that predict left-out materials.
         expected_errors: reliability of the model's expected errors, `ball` and `cube_root`; None without calibration.
         coherence: coherence of the model and of other maps of its materials, by title.
         pairs: materials and the materials most similar to them, by index, with the detours of the model.
@@ -341,7 +341,7 @@ def _needed_bytes(library: Library, names: Sequence[str], method: Method) -> int
 
 
 def _calibration(data: Data, method: Method, encoded: Encoded) -> dict[str, Any]:
-    """Return standardised errors of held-out materials, if every prediction has a variance."""
+    """Return standardised errors of left-out materials, if every prediction has a variance."""
     if not method.is_held_out or any(c.variance is None for c in encoded.combinations):
         return {"standardised_error": None, "rms_standardised_error": None}
     z = np.array([standardised_error(data, i, c) for i, c in enumerate(encoded.combinations)])

@@ -342,7 +342,7 @@ def _coherence(report: Report) -> list[str]:
 
 
 def _materials(report: Report) -> list[str]:
-    """Return one row per material: latent, and held-out errors."""
+    """Return one row per material: latent, and left-out errors."""
     by_key = {m.key: m for m in report.methods}
     shown = [key for key in _MATERIAL_COLUMNS if key in by_key][:_SHOWN_METHODS]
     first = by_key[shown[0]]

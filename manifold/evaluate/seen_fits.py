@@ -1,4 +1,4 @@
-"""Fits to the evaluated materials themselves, for comparison with held-out predictions."""
+"""Fits to the evaluated materials themselves, for comparison with predictions of left-out materials."""
 
 from __future__ import annotations
 

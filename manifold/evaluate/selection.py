@@ -1,4 +1,4 @@
-"""Chooses the mapping and the number of dimensions of a manifold by held-out error.
+"""Chooses the mapping and the number of dimensions of a manifold by the errors of left-out materials.
 
 The materials are divided into folds. Every candidate is fitted without a fold, locates the fold's materials from
 their data, and is judged by the predictions there. With up to twenty materials every fold holds one (leave-one-out).
@@ -36,7 +36,7 @@ _TOLERANCE = 1e-4  # tolerance of fits: finer ones move no error by more than it
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate(MethodErrors):
-    """One setting and its held-out errors.
+    """One setting and its errors for left-out materials.
 
     Attributes: those of `MethodErrors`, and
         mapping, latent_dim: the setting.
@@ -111,7 +111,7 @@ def _candidate(settings: Settings, mapping: str, latent_dim: int) -> Settings:
 
 
 class _Trials:
-    """Values of all materials, and their held-out errors under any setting."""
+    """Values of all materials, and their errors when left out, under any setting."""
 
     def __init__(self, materials: Sequence[MeasuredBRDF], settings: Settings) -> None:
         n_bands, N = materials[0].bands.count, len(materials)
@@ -123,7 +123,7 @@ class _Trials:
         self._splits = leave_out(N, N if N <= LEAVE_ONE_OUT_UP_TO else FOLDS)
 
     def run(self, name: str, latent_dim: int) -> Candidate:
-        """Return the held-out errors of one setting."""
+        """Return the errors of left-out materials with one setting."""
         settings = _candidate(self._settings, name, latent_dim)
         fit = fit_settings(settings, tolerance=_TOLERANCE)
         encoded, seconds = wall_clock(lambda: cross_validate(self._data, fit, self._splits))

@@ -112,8 +112,8 @@ class Readings:
         notes: ambiguities of the file and how they were read, one sentence each.
         texture: texture data of the instrument (graininess, sparkle, flake images) by name, as plain values.
         gloss: gloss units of a gloss meter (ISO 2813) by its angle in degrees: 20, 60 or 85.
-        repeatability: relative standard deviation of a value that is read again, or, for the mean of several
-            measurements, measured again.
+        repeatability: relative standard deviation of repeated readings or, for the mean of several measurements, of
+            repeated measurements.
         assumed_unit: one of `UNITS` if the file states no unit and this one was assumed; otherwise None.
         between: how much several measurements of the specimen differ; None for a single one.
         viewing: light and observer of printed CIELAB values, or, for linear sRGB, to which the colours are

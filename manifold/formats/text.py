@@ -149,7 +149,7 @@ def data_lines(
 def plain_float(text: str) -> float:
     """Convert a text by Python's rules, or return NaN.
 
-    It is faster than `number`, which must be asked about texts for which this function returns NaN.
+    It is faster than `number`; if it returns NaN, call `number`, which accepts more texts.
     """
     try:
         return float("nan") if "_" in text else float(text)
@@ -176,7 +176,7 @@ class Measure(NamedTuple):
 def number_with_unit(text: str) -> Measure | None:
     """Return the finite number that a text begins with and the unit behind it, or None.
 
-    The unit may be attached to the number or stand in brackets.
+    The unit may be attached to the number or be in brackets.
 
     >>> number_with_unit("1.55um"), number_with_unit("632,8 [nm]"), number_with_unit("red")
     (Measure(value=1.55, unit='um'), Measure(value=632.8, unit='nm'), None)

@@ -299,7 +299,7 @@ def looks_like_percent(
 ) -> bool:
     """Return whether values are too large for reflectance factors, away from the mirror direction or anywhere.
 
-    They are in at least this share of the bands, so that a saturated band does not count.
+    They must be too large in at least the `share` of the bands, so that a saturated band does not count.
     """
     f = np.nan_to_num(values)
     off = f[cos_from_mirror(wi, wo) < np.cos(np.deg2rad(40.0))]

@@ -53,7 +53,7 @@ class Products:
         return self.norm + np.diag(self.S) - 2.0 * self.cross
 
     def residual(self, V: Array) -> tuple[float, Array]:
-        """Return the squared distance `||y - V Y||^2` from the prediction, and its derivative by V (n,)."""
+        """Return the squared distance `||y - V Y||^2` from the prediction, and its derivative in V (n,)."""
         VS = V @ self.S
         squared = self.norm - 2.0 * float(V @ self.cross) + float(VS @ V)
         floor = _ROUNDING * (self.norm + np.trace(self.S) / len(self.S))
@@ -145,7 +145,7 @@ class Decoder:
         return nearest, errors[nearest]
 
     def combine(self, V: Array) -> tuple[Array, Array]:
-        """Return the values (R, P) for weights V (R, n), possibly negative, and their derivatives by mapped values."""
+        """Return the values (R, P) for weights V (R, n), possibly negative, and the slope of T^-1 there."""
         values = self.mapping.inverse(V @ self.mapped, self.cosines)
         return values, self.mapping.slope(values, self.cosines)
 

@@ -95,7 +95,7 @@ class Kernel(ABC):
         return K, slope
 
     def pull_back(self, A: Array, B: Array, dK: Array, slope: Array | None = None) -> Array:
-        """Return the gradient by A (M, Q) of `sum(dK * smooth(A, B))` for fixed B (N, Q) and dK (M, N), shape (M, Q).
+        """Return the gradient in A (M, Q) of `sum(dK * smooth(A, B))` for fixed B (N, Q) and dK (M, N), shape (M, Q).
 
         `slope` (M, N) is the slope of `smooth_and_slope(A, B)`; None computes it.
         """

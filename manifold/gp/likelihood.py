@@ -55,7 +55,7 @@ class LatentObjective:
         return self.value_of(log_det, float(np.sum(P * self.S)), float(np.sum(X**2)))
 
     def with_noise(self, X: Array) -> tuple[float, Array, float]:
-        """Return F at X (N, Q), its gradient (N, Q), and its derivative by mu, the trace of dF/dK."""
+        """Return F at X (N, Q), its gradient (N, Q), and its derivative with respect to mu, the trace of dF/dK."""
         N = self.S.shape[0]
         K, slope = self.kernel.training_and_slope(X)
         P, log_det = self.factorise(K)

@@ -155,7 +155,7 @@ class BlendSamples:
         )
 
     def paths(self, landmarks: Indices | None = None) -> ColourPaths:
-        """Return colour paths of a material's own samples and those of the landmarks, by default of all materials."""
+        """Return colour paths made of a material's own samples and those of the landmarks, by default all materials."""
         cosines = encoding_pairs().cosines
         return fit_paths(
             self.roots[:, : len(cosines)], cosines, len(self.bands), self.sphere, self.albedo, landmarks

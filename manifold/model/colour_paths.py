@@ -130,7 +130,7 @@ class ColourPaths:
 
 
 def between(vertices: Array, coordinates: Array) -> tuple[Indices, Array]:
-    """Return the index of the vertex, of V, below each coordinate (B,), and the fraction of the way to the next."""
+    """Return the index of the vertex below each coordinate (B,), and the fraction of the way to the next one."""
     at = np.clip(coordinates, vertices[0], vertices[-1])
     k = np.clip(np.searchsorted(vertices, at, side="right") - 1, 0, len(vertices) - 2)
     return k, (at - vertices[k]) / (vertices[k + 1] - vertices[k])
@@ -164,7 +164,7 @@ def fit_paths(
         n_bands: number of samples per material.
         sphere: samples (n, P') at the direction pairs of an integrating sphere, and its measure (P',).
         albedo: like `sphere`, at several incidences; no path ends above an albedo of 1.
-        landmarks: materials whose samples, beside a material's own, make the paths; by default all.
+        landmarks: materials whose samples make the paths, in addition to a material's own; by default all.
     """
     reflectances = sphere[0] ** 3 @ sphere[1]
     N = len(samples) // n_bands

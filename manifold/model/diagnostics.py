@@ -65,7 +65,7 @@ class DiagnosedPrediction(Result):
         reflectance_residual: largest difference, over the bands, between the given and the reached reflectance.
         weights: the materials with the largest weights, by magnitude, in this colour; empty for a step of a walk.
         nearest: the three nearest materials with their distances; empty for a step of a walk.
-        materials: number of materials of the model, whose leave-one-out errors the expected errors are based on.
+        materials: number of materials of the model, on whose leave-one-out errors the expected errors are based.
         expected: expected error of an unknown material at this latent, with the given colour if there is one; None if
             the model is not calibrated, for a latent that the data do not support, and for a step of a walk.
         posterior: standard deviation of the Gaussian process at the latent, with its unit; None for maps of blends

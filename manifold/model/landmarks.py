@@ -50,8 +50,9 @@ def landmark_layout(
 
     Every other sample starts at the mean of the anchors, weighted by its affinities. Then all positions are refined.
     A sample is attracted by landmarks and by samples with similar distances from the landmarks, and repelled by all.
-    Distances are computed of a fixed number of samples from each; only the repulsion, a compiled loop, takes a time
-    quadratic in N.
+    For each sample, distances to a fixed number of others are computed. Only the repulsion, a compiled loop, takes a
+    time quadratic in N.
+
     Source: van der Maaten & Hinton 2008, section 6, for landmarks among many samples.
     """
     N = len(to_landmarks)

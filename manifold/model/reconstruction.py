@@ -1,4 +1,4 @@
-"""Describes a material as a non-negative combination of samples and analytic lobes, of any or a limited number."""
+"""Describes a material as a non-negative combination of samples and analytic lobes; their number can be limited."""
 
 from __future__ import annotations
 

@@ -47,9 +47,9 @@ def load_bsdf(mi: Any, content: Mapping[str, Any] | Any) -> Any:
 
 
 def folds(mi: Any, bsdf: Any) -> bool:
-    """Return whether an isotropic BSDF gives bit for bit the same at pairs of directions and at these half turned.
+    """Return whether an isotropic BSDF has exactly the same values at direction pairs and after half a turn.
 
-    Otherwise rounding differs, because azimuths do.
+    Otherwise they differ by rounding, because the azimuths differ.
     """
     rng = np.random.default_rng(0)
     cos, azimuth = rng.uniform(0.1, 1.0, (2, _PROBES)), rng.uniform(-np.pi, np.pi, (2, _PROBES))

@@ -46,9 +46,8 @@ class Chart:
     """All settings, measured in one run.
 
     Attributes:
-        rows: results of the settings, held-out settings first.
-        fronts: for each error and cost, the keys of held-out settings that no other setting dominates, cheapest
-            first.
+        rows: results of the settings, cross-validated settings first.
+        fronts: for each error and cost, the keys of cross-validated settings that no other dominates, cheapest first.
         folds: number of folds of the cross-validation.
         reference_seconds: median processor time of the reference, the unit of all times.
         scaled: texts about quantities that were measured in part and scaled to the whole.
@@ -82,7 +81,7 @@ def cost_of(row: ChartRow, cost: str) -> float:
 
 
 def conclusion(made: Chart) -> str:
-    """Return two sentences on the settings to choose; empty if none was held out."""
+    """Return two sentences on the settings to choose; empty if none was cross-validated."""
     held_out = [row for row in made.rows if row.is_held_out]
     if not held_out:
         return ""
@@ -222,7 +221,7 @@ def _measuring(library: Path, names: tuple[str, ...], how: _How) -> _Measuring:
 
 
 def _known_settings(n_bands: int) -> Registry[Method | str]:
-    """Return all settings, by key: held-out ones, and the names of fits."""
+    """Return all settings, by key: cross-validated ones, and the names of fits."""
     known = Registry[Method | str]("setting", ((s.key, s) for s in chart_methods(n_bands)))
     known.update({f"fit_{method}": method for method in seen_fits.METHODS})
     return known
@@ -242,7 +241,7 @@ def _from_arrays(arrays: Mapping[str, Array]) -> dict[str, ChartRow]:
 
 
 def fronts(rows: Sequence[ChartRow]) -> dict[str, dict[str, list[str]]]:
-    """Return the keys of the held-out settings on the Pareto front of every error and cost, cheapest first.
+    """Return the keys of the cross-validated settings on the Pareto front of every error and cost, cheapest first.
 
     Errors and bytes count as equal if they differ by less than 1 %. Times count as equal if they differ by less than
     10 % or by less than their spreads.

@@ -149,9 +149,9 @@ class _Problem:
 
         Args:
             starts: vectors of parameters.
-            below: of a film, half the squared residual without it, below shares of which starts must have come after
-                some evaluations to be followed any farther, by exact derivatives; by default all are, and channels are
-                varied at once.
+            below: half the squared residual without a film. A start is followed, by exact derivatives, only if its
+                residual falls below shares of this after some evaluations. By default all starts are followed, and
+                channels are varied at once.
         """
         if np.isfinite(below):
             done = 0

@@ -25,7 +25,7 @@ class LobeSums:
     Attributes:
         latent: Q arrays, float64, without derivatives.
         sums: two arrays from which `VaryingWeights.weight` computes weights.
-        slopes: derivatives of a sum by the latents, Q arrays; empty if no derivatives are needed.
+        slopes: derivatives of a sum with respect to the latents, Q arrays; empty if not needed.
         magnitude: sum of the absolute weights.
         offsets: Q arrays of value 0 with the derivatives of the latents.
     """
@@ -59,7 +59,7 @@ class VaryingWeights:
         return replace(lobes, offsets=[v - dr.detach(v) for v in latent]) if has_slopes else lobes
 
     def weight(self, lobes: LobeSums, j: Any) -> tuple[Any, list[Any]]:
-        """Return the weight of material j, and its slopes by the latents if `lobes` has slopes."""
+        """Return the weight of material j, and its derivatives in the latents if `lobes` has slopes."""
         mi, dr = self._mi, self._dr
         has_slopes = len(lobes.slopes) > 0
         if self._is_blend:
@@ -122,7 +122,7 @@ class VaryingWeights:
         return [dr.maximum(kept, 0.0), *slopes[: len(slopes) * has_slopes]]
 
     def _cost(self, latent: list[Any], j: Any) -> tuple[Any, Any]:
-        """Return the negative logarithm of a share, and its slope by the difference of latents."""
+        """Return the negative logarithm of a share, and its derivative in the difference of latents."""
         unit = 1.0 / self._gp.kernel.length_scale**2
         squared = self._dr.maximum(self._squared_distance(latent, j) * unit, 1e-12)
         return 0.5 * squared + self._dr.log(squared), (1.0 + 2.0 / squared) * unit
@@ -184,7 +184,7 @@ class _Group:
 
     @property
     def rotation_rad(self) -> float:
-        """The azimuth by which the samples lay turned."""
+        """The azimuth by which the specimens were turned when they were measured."""
         return float(np.uint32(self.first[_SYMMETRY + 1]).view(np.float32))
 
     @classmethod
@@ -232,7 +232,8 @@ class Evaluation:
     def set_weights(self, mixture: Mixture, latent: Any = None, colours: Any = None) -> None:
         """Set the weights to those of a mixture of the same materials.
 
-        If derivatives pass through the weights, their slopes by the latent (Q,) and the given colours (B,) are kept.
+        If derivatives pass through the weights, their derivatives in the latent (Q,) and the given colours (B,) are
+        kept.
         """
         mi, dr = self._mi, self._dr
         self._lobe_ends = mi.Float(np.cumsum(mixture.lobes).astype(np.float32))

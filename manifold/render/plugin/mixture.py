@@ -39,8 +39,7 @@ class Mixture:
         gp: the Gaussian process that turns varying latents into weights.
         order: index of each material in the model, (N,); empty for a measured file, whose unmeasured cells are
             kept.
-        slopes: derivatives of the weights by the latent's coordinates and by the colour of a band; empty if not
-            needed.
+        slopes: derivatives of the weights in the latent's coordinates and in the colour of a band; empty if not needed.
         is_blend: whether varying weights come from `blend_weights` instead of the Gaussian process.
         is_clipped: whether negative values become 0, as in predicted files; a measured file keeps them, because they
             are colours outside sRGB.
@@ -185,8 +184,8 @@ def leave_out(weights: Array, S: Array | None, tolerance: float) -> tuple[Indice
     The error is relative to the norm of the mapped values; a tolerance of 0 keeps all materials.
 
     The new weights u of the kept materials minimise `(u - v)^T S (u - v)`, the squared distance of the mapped values,
-    with their Gram matrix S (N, N). Materials are removed one by one; each time the material k is removed that
-    increases this distance least, by `u_k^2 / [S_kept^-1]_kk`.
+    with their Gram matrix S (N, N). Materials are removed one by one. Each step removes the material k that increases
+    this distance least, by `u_k^2 / [S_kept^-1]_kk`.
     """
     if not 0.0 <= tolerance < 1.0:
         raise UsageError(f"tolerance is {tolerance:g}, expected a share from 0 to below 1, such as 0.01")

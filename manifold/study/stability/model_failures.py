@@ -47,7 +47,7 @@ def in_error_of_nearest(bed: TestBed, found: BRDF) -> float:
 
 
 def _held_out_in(bed: TestBed, model: Manifold) -> Measurement:
-    """Measure the held-out plastic, embedded in a model."""
+    """Measure the left-out plastic, embedded in a model."""
     truth = held_out(bed)
     brdf, messages = bed.embed(model, truth)
     return Measurement(in_error_of_nearest(bed, brdf), messages)
@@ -226,7 +226,7 @@ def _fit(bed: TestBed, S: Array, optimizer: str, start: Array | None = None) -> 
 
 
 def _held_out_by(bed: TestBed, fitted: GPLVM) -> Measurement:
-    """Measure the held-out plastic, embedded in a manifold with these latents of the family."""
+    """Measure the left-out plastic, embedded in a manifold with these latents of the family."""
     truth = held_out(bed)
     space = GplvmSpace(fitted.embedding_, fitted.gram_, fitted.n_outputs_, fitted.gp_.kernel)
     brdf, messages = bed.embed(in_space(bed.model("gplvm"), space), truth)

@@ -19,7 +19,7 @@ _listener: ContextVar[Progress | None] = ContextVar("listener", default=None)
 
 
 class Display(Protocol):
-    """Opens a display of progress by its title."""
+    """A function that opens a progress display with a title."""
 
     def __call__(self, title: str, *, in_bytes: bool) -> AbstractContextManager[Progress]:
         """Return a context manager, open during the work, that is called with its progress."""

@@ -173,7 +173,7 @@ class BsdfFile:
 
     @property
     def is_isotropic(self) -> bool:
-        """Return whether the sample's orientation follows the incident azimuth (Mitsuba's rule: P <= 2)."""
+        """Return whether the file is isotropic: it has at most two incident azimuths (Mitsuba's rule)."""
         return self.phi_i_rad.shape[0] <= 2
 
     @property

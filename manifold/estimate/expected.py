@@ -234,7 +234,7 @@ def _some_pixels(lights: Panel) -> tuple[Panel, Indices, Indices]:
 
 
 def calibrate(atoms: LibraryAtoms, seen: Readings | Evidence, library: Library | None = None) -> Calibration:
-    """Complete every material of a library from the others, with the same kind of observations.
+    """Return the errors of completing every library material from the others, with the same kind of observations.
 
     If there are pictures, an evenly spaced subset of the materials is used.
 

@@ -67,7 +67,7 @@ class BsdfText:
     blocks: list[Block] = field(default_factory=list)
 
     def directions(self) -> tuple[Array, Array, Indices]:
-        """Return the `unique_directions` of the tables."""
+        """Return the distinct directions of the tables, see `unique_directions`."""
         return unique_directions(self.lists["scatterazimuth"], self.lists["scatterradial"])
 
     def require_brdf(self, words: dict[str, str]) -> None:

@@ -63,9 +63,9 @@ def rgb_table() -> Mapping[str, Entry]:
 
 
 def select(names: Sequence[str] | None, table: Mapping[str, Entry], anisotropic: bool) -> list[Entry]:
-    """Return the entries of given names, or of all isotropic materials; with `anisotropic` of all materials.
+    """Return the entries with the given names, or for None all isotropic ones and, with `anisotropic`, all others.
 
-    If `names` is None, only RGB files with a known checksum are returned.
+    For None, RGB files without a known checksum are left out.
     """
     if names is None:
         table = {name: entry for name, entry in table.items() if entry.sha256 or not entry.is_rgb}

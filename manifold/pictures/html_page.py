@@ -65,7 +65,7 @@ class Section:
     notes: Sequence[str] = ()
 
     def html(self) -> str:
-        """Return the part as HTML; a part without content is empty."""
+        """Return the section as HTML; a section without content is empty."""
         if not (self.rows or self.table or self.pictures or self.notes):
             return ""
         is_long = len(self.table) > _LONG

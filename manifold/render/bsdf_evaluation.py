@@ -116,7 +116,7 @@ class AnalyticEvaluator:
         }
 
     def values(self, p: Array, rows: Indices | None = None) -> Array:
-        """See `Evaluator`."""
+        """Return f_cos of parameter vectors; see `Evaluator`."""
         p = np.atleast_2d(p)
         model, n_pairs = (self._model, self._n_pairs) if rows is None else (self._model.at(rows), len(rows))
         out = np.empty((len(p), n_pairs, self.layout.n_bands))
@@ -130,7 +130,7 @@ class AnalyticEvaluator:
         return out
 
     def jacobian(self, p: Array) -> tuple[Array, Array]:
-        """See `Evaluator`."""
+        """Return f_cos of one vector, and its derivatives; see `Evaluator`."""
         shared = {name: float(p[place]) for name, place in self._shared.items()}
         coefficients, slopes = self._model.slopes(self._fixed | shared, shared)  # [3, M] each
         terms = self._terms(p)
@@ -145,7 +145,7 @@ class AnalyticEvaluator:
         return coefficients.T @ terms, J
 
     def band_jacobian(self, p: Array) -> tuple[Array, Array]:
-        """See `Evaluator`."""
+        """Return f_cos of one vector, and its derivatives in the values of each band; see `Evaluator`."""
         shared = {name: float(p[place]) for name, place in self._shared.items()}
         coefficients, _ = self._model.slopes(self._fixed | shared, ())
         n_own = int(self._colour_place is not None)  # the colour, if that is free

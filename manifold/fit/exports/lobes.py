@@ -224,8 +224,8 @@ def _visible_reflections(node: int) -> tuple[Array, Array]:
 def visible_reflections(alpha: float, cosines: Array, *, is_correlated: bool = True) -> tuple[Array, Array]:
     """Return the weights (C, S) of S quadrature nodes in a GGX lobe's albedo without Fresnel, and their facet cosines.
 
-    The nodes cover the distribution of visible normals: azimuths of one half, and Gauss-Legendre nodes that are
-    denser towards steep facets. The cosines (C, S) are between the view and the facets.
+    The nodes cover the distribution of visible normals: azimuths on one side, and Gauss-Legendre nodes that are denser
+    towards steep facets. The cosines (C, S) are between the view and the facets.
 
     Args:
         alpha: alpha of the lobe, kept above 0.

@@ -190,7 +190,7 @@ def complete(
             found = f"{len(samples)} samples ({names}); name one by --sample"
             if units or repeatability is not None:
                 raise UsageError(
-                    f"--gloss and --repeatability go with one sample, found {found}, or leave them out"
+                    f"--gloss and --repeatability work only with one sample, found {found}, or leave them out"
                 )
             from manifold.many import commands as many
 
@@ -203,7 +203,7 @@ def complete(
             make_folder(of_samples, samples, f"{found}, or a folder")
             return
     if into is not None:
-        raise UsageError("--into goes with the samples of files; leave --sample, --merge and --lab out")
+        raise UsageError("--into works only with the samples of files; leave --sample, --merge and --lab out")
     if colour.lab is not None and units and not colour.mixture:
         _complete_coat(results, library, colour, units, output, asked)
         return
@@ -238,13 +238,13 @@ def _require_consistent(readings: Sequence[Path], colour: LabOptions, asked: Mad
     if readings and colour.lab is not None:
         raise UsageError(
             f"found --lab {colour.lab} and readings {readings[0]}, expected one of them; a colour has commas, such as "
-            "50,20,10; readings of a spectrophotometer go beside others with --merge"
+            "50,20,10; --merge combines readings of a spectrophotometer with others"
         )
     has_input = bool(readings) or colour.lab is not None
     if asked.report is not None and not has_input:
-        raise UsageError("--report goes with readings or a colour; leave it out")
+        raise UsageError("--report works only with readings or a colour; leave it out")
     if colour.mixture and colour.lab is None:
-        raise UsageError("--mixture goes with --lab; leave it out")
+        raise UsageError("--mixture works only with --lab; leave it out")
     if not has_input and not asked.suggest:
         raise UsageError(
             "no readings are given; give a file, or --suggest K for the directions to measure first"
@@ -253,7 +253,7 @@ def _require_consistent(readings: Sequence[Path], colour: LabOptions, asked: Mad
         raise UsageError("--instrument restricts the suggested directions; also give --suggest K")
     for option, given in (("--report", asked.report), ("--suggest", asked.suggest)):
         if colour.is_file and given:
-            raise UsageError(f"{option} goes with readings or one colour, found a list; leave it out")
+            raise UsageError(f"{option} works only with readings or one colour, found a list; leave it out")
 
 
 def _suggest_first(results: terminal.Results, library: Path, asked: MadeOptions) -> None:

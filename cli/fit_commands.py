@@ -92,12 +92,12 @@ def fit(
         raise UsageError("no material is given; give files, materials of the library, or points on the map")
     places = [source for source in materials if isinstance(source, PlaceSource)]
     if places and sample is not None:
-        raise UsageError("--sample goes with a file of readings; leave it or the points out")
+        raise UsageError("--sample works only with a file of readings; leave out the option or the points")
     if sample is not None and len(materials) > 1:
         raise UsageError(f"sample {sample} of {len(materials)} files, expected one file; name one")
     if bsdf is not None and (free is not None or wide_colours):
         raise UsageError(
-            "--bsdf goes with neither --free nor --wide-colours: its file has free parameters and ranges"
+            "--bsdf cannot be combined with --free or --wide-colours: its file has free parameters and ranges"
         )
     results = terminal.Results(json)
     family = None if bsdf is None else fits.read_family(bsdf)
@@ -251,12 +251,14 @@ def export(
     materials = options.material_sources(sources, model, library, colour=colour)
     if target == "shader":
         if against is not None:
-            raise UsageError("--against goes with the fit of a target's model; leave it out for a shader")
+            raise UsageError(
+                "--against works only with the fit of a target's model; leave it out for a shader"
+            )
         _export_shader(results, materials, output, tolerance, picture, pack, prefix)
         return
     if tolerance is not None or prefix is not None:
         raise UsageError(
-            "--tolerance and --prefix go with --target shader; leave them out for models that are fitted"
+            "--tolerance and --prefix work only with --target shader; leave them out for models that are fitted"
         )
     from manifold.estimate.inputs import is_many
     from manifold.fit import exporting  # which imports Matplotlib; a shader does without
@@ -267,17 +269,17 @@ def export(
     names = list(dict.fromkeys(map(str.strip, (target or _TARGET).split(","))))
     if "shader" in names:
         raise UsageError(
-            f"--target {target}: a shader goes with no other target; export it by its own command"
+            f"--target {target}: a shader cannot be combined with other targets; export it with a command of its own"
         )
     try:
         targets = [TARGETS[name] for name in names]
     except UnknownNameError as error:
         raise UnknownNameError(f"{error}, shader") from None
     if len(targets) > 1 and pack is not None:
-        raise UsageError(f"--pack goes with one target, found {target}")
+        raise UsageError(f"--pack works only with one target, found {target}")
     if is_many(materials):
         if against is not None:
-            raise UsageError("--against goes with the JSON of one fit; leave it out for several")
+            raise UsageError("--against works only with the JSON of one fit; leave it out for several")
         if len(targets) > 1:
             command = exporting.exports_of_many(targets, with_pictures=picture)
         else:
@@ -305,7 +307,9 @@ def export(
 
 def _refuse_pack_of_one(pack: Path | None, material: MaterialSource) -> None:
     if pack is not None:
-        raise UsageError(f"--pack goes with a library or a folder of files, found {material}; use -o for one")
+        raise UsageError(
+            f"--pack works only with a library or a folder of files, found {material}; use -o for one"
+        )
 
 
 def _export_shader(
@@ -321,7 +325,7 @@ def _export_shader(
     if is_many(materials):
         if prefix is not None:
             raise UsageError(
-                f"--prefix {prefix} goes with one material, found several; export each with its own prefix"
+                f"--prefix {prefix} works only with one material, found several; export each with its own prefix"
             )
         command = exporting.exports(tolerance, with_pictures=picture, is_pack=pack is not None)
         make_many(results, command, find_inputs(materials), pack or output)
@@ -365,9 +369,9 @@ def _show_exports(
         against = f"against the {content['against']}"
         if several := content.get("implementations"):
             for name, errors in several.items():
-                rows[f"CIEDE2000 of the ball in {name}"] = f"{Errors(**errors)}, {against}"
+                rows[f"CIEDE2000 of the ball in {name}"] = f"{against}: {Errors(**errors)}"
         else:
-            rows["CIEDE2000 of the ball"] = f"{Errors(**content['errors'])}, {against}"
+            rows["CIEDE2000 of the ball"] = f"{against}: {Errors(**content['errors'])}"
         if (without := content.get("without_curve")) is not None:
             curve, base = TARGETS[content["target"]].curve
             rows[f"with {base} instead of {curve}"] = Errors(**without)
@@ -378,6 +382,6 @@ def _show_exports(
         rows |= terminal.numbered("note", outcome.notes)
         results.rows(f"Exported {outcome.path} ({content['target']})", rows)
         if (beside := content.get("beside")) is not None:
-            rows = parameters(beside) | {"CIEDE2000 of the ball": f"{Errors(**beside['errors'])}, {against}"}
+            rows = parameters(beside) | {"CIEDE2000 of the ball": f"{against}: {Errors(**beside['errors'])}"}
             results.rows(f"{beside['target']} in the same file", rows)
     results.document({"exports": [outcome.to_json() for outcome in outcomes], "failed": []})

@@ -98,9 +98,11 @@ def convert(
         )
     if found is not None:
         if unit is not None:
-            raise UsageError(f"--unit {unit} goes with one file, found several, or a folder; leave it out")
+            raise UsageError(
+                f"--unit {unit} works only with one file, found several, or a folder; leave it out"
+            )
         if report is not None:
-            raise UsageError("--report goes with one file, found several, or a folder; leave it out")
+            raise UsageError("--report works only with one file, found several, or a folder; leave it out")
         from manifold.many import commands as many
 
         command = many.conversions(

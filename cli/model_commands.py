@@ -209,7 +209,7 @@ def embed(
     settings = fitted.settings
     if candidates:
         results.text(
-            "Held-out errors, median / 90th percentile. The choice has the lowest 'error', a mean; more\n"
+            "Errors of left-out materials, median / 90th percentile. The choice has the lowest 'error', a mean; more\n"
             f"dimensions must lower 'error' times 'detour', a mean, by {percent(PAYS)}:\n"
         )
         results.table(
@@ -259,7 +259,7 @@ def _settings(kind: str, chosen: dict[str, Any]) -> Settings:
             (other,) = (own for own in KINDS if name in names[own])
             option = f"--{name.replace('_', '-')} {value}"
             raise UsageError(
-                f"found {option}, which goes with --kind {other}; leave it out, or choose that kind"
+                f"found {option}, which works only with --kind {other}; leave it out, or choose that kind"
             )
     return KINDS[kind](**{name: value for name, value in chosen.items() if value != AUTO})
 
@@ -378,8 +378,8 @@ def predict(
             raise UsageError("found --from and a latent or colour; write these into columns of the table")
         if attributes is not None:
             raise UsageError(
-                "found --from and --gloss, --lightness, --chroma or --hue, which go with one point; leave them out, "
-                "or predict each point by its own command"
+                "found --from and --gloss, --lightness, --chroma or --hue, which work only with one point; leave them "
+                "out, or predict each point with a command of its own"
             )
         from manifold.estimate.inputs import read_points
         from manifold.many import commands as many

@@ -89,7 +89,7 @@ class ColourOptions:
         from manifold.model.colours import ColourChoice
 
         if refused is not None and self != OWN_COLOUR:
-            raise UsageError(f"--like, --reflectance and --srgb go with {refused}")
+            raise UsageError(f"--like, --reflectance and --srgb work only with {refused}")
         return ColourChoice(self.like, self.reflectance, self.srgb)
 
 

@@ -253,7 +253,7 @@ SamplesOption = Annotated[
 SeedOption = Annotated[
     int,
     typer.Option(
-        help="Seed of the noise; equal seeds give equal pictures, to rounding.",
+        help="Seed of the noise; equal seeds give equal pictures, up to rounding.",
         metavar="N",
         min=0,
         rich_help_panel=LIGHT,
@@ -335,7 +335,7 @@ def render(
         )
     if (several := inputs_of(sources, output, is_rendered)) is not None:
         if direct:
-            raise UsageError("--direct goes with one point, or with --from")
+            raise UsageError("--direct works only with one point, or with --from")
         from manifold.many import commands as many
 
         make_many(results, many.renders(settings), several, output, workers.executor())

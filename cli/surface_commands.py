@@ -87,12 +87,14 @@ def surface(
     targets = target or SURFACE_TARGETS
     if lamp is not None:
         if sample is not None:
-            raise UsageError("--sample goes with a workbook; leave it out")
+            raise UsageError("--sample works only with a workbook; leave it out")
         is_linear = options.are_linear(linear, encoded)
         pictures, readings = read_folder(files_in(sources), lamp, is_linear), None
     else:
         if linear or encoded:
-            raise UsageError("--linear and --encoded go with --lamp; an instrument's pictures are linear")
+            raise UsageError(
+                "--linear and --encoded work only with --lamp; an instrument's pictures are linear"
+            )
         samples = [] if sample is not None else inputs.find_samples(sources)
         if len(samples) > 1 or any(source.is_dir() for source in sources):
             from manifold.many import commands as many

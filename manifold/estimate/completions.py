@@ -595,8 +595,8 @@ def advise(
     if "scaled_ball" in expected.known:
         return Advice(
             NextStep.READ_MORE,
-            "do not use its brightness, which is a guess: picture a white or grey card (--grey), or read the material "
-            "once (--lab, or --readings at 45/0)",
+            "do not use its brightness, which is a guess: photograph a white or grey card (--grey), or read the "
+            "material once (--lab, or --readings at 45/0)",
         )
     if fault is not None:
         return Advice(NextStep.CHECK_OBSERVATIONS, f"do not use it: {fault}")

@@ -199,10 +199,10 @@ def see(request: PhotoRequest) -> tuple[SeenBall, ...]:
     if request.lamps:
         return _with_doubts(_under_lamps(request, photographs, circles), circles)
     if request.grey is not None:
-        raise UsageError("--grey goes with --lamp; for a --light, give the --exposure")
+        raise UsageError("--grey works only with --lamp; for a --light, give the --exposure")
     if request.light_balls:
         if any(request.turns_deg):
-            raise UsageError("--turn goes with --light; a mirror ball is seen by the same camera")
+            raise UsageError("--turn works only with --light; a mirror ball is seen by the same camera")
         lights = _for_each(n, request.light_balls, "mirror balls")
         camera = Camera(0.0, request.elevation_deg, request.distance)
         read = {text: _around(text, camera, request.is_linear) for text in dict.fromkeys(lights)}
@@ -226,7 +226,7 @@ def _under_lamps(
     camera, notes, warnings = Camera(distance=request.distance), tuple[str, ...](), tuple[str, ...]()
     uncertain: Sequence[float | None] = [None] * len(photographs)
     if request.elevation_deg or any(request.turns_deg):
-        raise UsageError("--turn and --elevation go with --light; lamps are in the camera's frame")
+        raise UsageError("--turn and --elevation work only with --light; lamps are in the camera's frame")
     is_common = len(set(circles)) == 1 and len({one.values.shape for one in photographs}) == 1
     if (apart := _found_at(request)) is not None:
         if len(set(circles)) > 1:

@@ -73,7 +73,7 @@ def choose(
     """
     if len(materials) < 4:
         raise UsageError(
-            f"found {counted(len(materials), 'material')}, expected at least 4 to choose by held-out error; "
+            f"found {counted(len(materials), 'material')}, expected at least 4 to choose settings by left-out errors; "
             "choose mapping and dimensions yourself, or import more"
         )
     trials = _Trials(materials, settings)

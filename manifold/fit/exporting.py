@@ -100,7 +100,7 @@ def subject_of_source(source: MaterialSource, against: Path | None) -> Subject:
     if isinstance(source, FileSource):
         return subject_of(source.path, against)
     if against is not None:
-        raise UsageError(f"{source}: --against {against} goes only with the JSON of a fit; leave it out")
+        raise UsageError(f"{source}: --against {against} works only with the JSON of a fit; leave it out")
     if isinstance(source, LibrarySource):
         return subject_in_library(Library(source.library), source.name)
     return subject_of_prediction(source.model, source.place, library=source.library, colour=source.colour)
@@ -113,7 +113,7 @@ def subject_of(path: Path, against: Path | None = None) -> Subject:
     """
     if is_rgl(path):
         if against is not None:
-            raise UsageError(f"{path}: --against {against} goes only with the JSON of a fit; leave it out")
+            raise UsageError(f"{path}: --against {against} works only with the JSON of a fit; leave it out")
         return subject_of_file(read_bsdf(path), {"file": path.name, "sha256": file_sha256(path)})
     content = fit_json.read(path)
     source = {"fit": path.name, "sha256": file_sha256(path), "of": content["source"]}

@@ -584,7 +584,7 @@ def read_table(
         )
     if columns.viewing is not None:
         kind = FACTORS
-        of_whom = ", which no head says (--illuminant, --observer)" if columns.is_viewing_assumed else ""
+        of_whom = ", which no heading says (--illuminant, --observer)" if columns.is_viewing_assumed else ""
         notes.append(
             f"colours are read as CIELAB under {columns.viewing}{of_whom}; they do not determine spectra"
         )

@@ -29,7 +29,7 @@ AT_A_MATERIAL = "none, because a measured material lies there"
 """Text in place of an expected error at a measured material."""
 
 _LEFT_WALK = (
-    "not the step of the walk, but the prediction on the line between both materials on the map, in the chosen colour; "
+    "not the step of the walk, but the prediction on the line between both materials on the map, in the given colour; "
     "--lightness, --chroma and --hue change the colour of the step itself"
 )
 SHOWN_WEIGHT = 0.005

@@ -211,7 +211,7 @@ def test_suggestions_of_a_colour_and_gloss_leave_the_coat_as_it_is(run, model, t
         "complete", "--lab", "colours.txt", "--suggest", "2", "-L", model.library.path, cwd=tmp_path
     )
     assert code == 2
-    assert "--suggest goes with readings or one colour" in err
+    assert "--suggest works only with readings or one colour" in err
 
 
 @pytest.mark.parametrize(("before", "after"), [(0.08, 0.3), (0.3, 0.08)])

@@ -226,9 +226,9 @@ def test_several_kinds_are_fitted_into_one_folder(run, folder):
     ("arguments", "words"),
     [
         (("render",), "no material is given; give one"),
-        (("render", NAME, "--like", OTHER), "--like, --reflectance and --srgb go with predictions"),
+        (("render", NAME, "--like", OTHER), "--like, --reflectance and --srgb work only with predictions"),
         (("compare", "0,0", "syn_felt_gren"), "did you mean"),
-        (("export", "0,0", "-o", "x.glb", "--against", FILE), "goes only with the JSON of a fit"),
+        (("export", "0,0", "-o", "x.glb", "--against", FILE), "works only with the JSON of a fit"),
         (("fit",), "no material is given"),
     ],
 )

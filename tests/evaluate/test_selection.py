@@ -1,4 +1,4 @@
-"""Settings chosen by held-out error."""
+"""Settings chosen by the errors of left-out materials."""
 
 from __future__ import annotations
 

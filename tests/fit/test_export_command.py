@@ -239,7 +239,7 @@ def test_a_page_of_a_pack_names_what_failed_and_keeps_its_index(folder, tmp_path
 def test_a_pack_of_one_material_is_refused(folder, tmp_path):
     result = run("export", folder / "copper_rgb.bsdf", "--pack", tmp_path / "pack")
     assert isinstance(result.exception, UsageError)
-    assert "--pack goes with a library or a folder" in str(result.exception)
+    assert "--pack works only with a library or a folder" in str(result.exception)
 
 
 def test_a_name_that_is_no_file_s_on_every_system_fails_alone(folder, tmp_path):
@@ -267,10 +267,10 @@ def test_two_files_of_one_name_are_refused(folder, tmp_path):
         ([], "no material is given; give one"),
         (["copper_rgb.fit.json", "-o", "x.obj"], "suffix '.obj', expected one of .glb"),
         (["copper_rgb.fit.json", "-o", "x.json"], "several targets are JSON"),
-        (["copper_rgb.fit.json", "-o", "x.glb", "--srgb", "#ff0000"], "go with predictions"),
+        (["copper_rgb.fit.json", "-o", "x.glb", "--srgb", "#ff0000"], "work only with predictions"),
         (
             ["copper_rgb.bsdf", "-o", "x.glb", "--against", "copper_rgb.bsdf"],
-            "goes only with the JSON of a fit",
+            "works only with the JSON of a fit",
         ),
         (["nowhere.fit.json", "-o", "x.glb"], "no such file"),
         (["nowhere.bsdf", "-o", "x.glb"], "no such file"),
@@ -334,7 +334,7 @@ def test_a_folder_is_exported_for_several_targets_once(folder, tmp_path, monkeyp
     [
         (["--target", "gltf,usd", "-o", "x.glb"], "expected a folder for the files of several targets"),
         (["--target", "gltf,obj"], "no target is called 'obj'"),
-        (["--target", "gltf,usd", "--pack", "pack"], "--pack goes with one target, found gltf,usd"),
+        (["--target", "gltf,usd", "--pack", "pack"], "--pack works only with one target, found gltf,usd"),
     ],
 )
 def test_several_targets_need_a_folder_and_names_of_targets(folder, tmp_path, monkeypatch, words, expected):

@@ -147,10 +147,10 @@ def test_a_fit_becomes_a_shader(tmp_path):
     [
         (("--target", "shader", "--tolerance", "0"), "a tolerance of 0, expected more than 0"),
         (("--target", "shader", "-o", "x.glsl"), "x.glsl: named like a file, expected a folder"),
-        (("--target", "shader", "--pack", "pack"), "--pack goes with a library or a folder"),
-        (("--tolerance", "1"), "--tolerance and --prefix go with --target shader"),
+        (("--target", "shader", "--pack", "pack"), "--pack works only with a library or a folder"),
+        (("--tolerance", "1"), "--tolerance and --prefix work only with --target shader"),
         (("--target", "shadr"), "no target is called 'shadr'"),
-        (("--target", "gltf,shader"), "--target gltf,shader: a shader goes with no other target"),
+        (("--target", "gltf,shader"), "--target gltf,shader: a shader cannot be combined with other"),
     ],
 )
 def test_wrong_options_are_refused(folder, words, message, tmp_path, monkeypatch):

@@ -260,7 +260,7 @@ def _again(optimizer: str, bed: TestBed, change: float) -> Measurement:
 def _ill_conditioned(bed: TestBed, length_scale: float) -> Measurement:
     """Measure the left-out plastic with the weights of a kernel without observation noise."""
     model, truth = bed.model("gplvm"), held_out(bed)
-    x = bed.cached("latent of the held-out plastic", lambda: model.embed(truth).latent)
+    x = bed.cached("latent of the left-out plastic", lambda: model.embed(truth).latent)
     weights = GaussianProcess(model.X, SquaredExponential(0.0, length_scale)).weights(x[None])[0]
     brdf = PredictedBRDF(model.materials.filled(), Combination(model.mapping, weights))
     return Measurement(in_error_of_nearest(bed, brdf))

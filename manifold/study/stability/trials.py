@@ -55,7 +55,7 @@ class Limit:
 
 
 HALF_OF_NEAREST = Limit(
-    "error of a held-out plastic, relative to that of the nearest material",
+    "error of a left-out plastic, relative to that of the nearest material",
     0.5,
     "a manifold should at least halve the error of the nearest material",
 )

@@ -31,7 +31,7 @@ class LeftOutReadings:
 
     @property
     def typical(self) -> Errors[float]:
-        """The median errors, taken as ball error and as cube-root error beside highlights; NaN without colours."""
+        """Medians: CIEDE2000 as `ball` (NaN without colours), cube-root error as `cube_root` and `elsewhere`."""
         ball = np.nan if self.ciede2000 is None else float(np.median(self.ciede2000))
         relative = float(np.median(self.relative))
         return Errors(ball=ball, cube_root=relative, elsewhere=relative)

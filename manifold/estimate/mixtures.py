@@ -229,9 +229,9 @@ class Hypotheses:
     alike: Alike
 
     def among(self, index: Indices, n: int) -> Hypotheses:
-        """Return the hypotheses with weights of n atoms.
+        """Return the same hypotheses with weights of n atoms, of which theirs are a part.
 
-        `index` gives the positions of their present atoms among these.
+        `index` holds the positions of the present atoms among the n.
         """
         weights, mean = np.zeros((len(self.weights), n)), np.zeros((len(self.mean), n))
         weights[:, index], mean[:, index] = self.weights, self.mean

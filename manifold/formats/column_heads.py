@@ -256,7 +256,7 @@ def quantity(heads: Sequence[str], context: ErrorContext, where: str) -> Quantit
     """Return the quantity that the headings of columns name, or None.
 
     Raises:
-        FileFormatError: heads name different quantities.
+        FileFormatError: headings name different quantities.
     """
     is_rgb = len(heads) == 3 and all(map(channel, heads))  # `R` is red
     said = {head.quantity for head in map(value_head, heads) if head is not None}

@@ -75,7 +75,7 @@ class Assumption(str):
 
 
 def assumptions_first(notes: Iterable[str]) -> tuple[str, ...]:
-    """Return different notes, those that are an `Assumption` first."""
+    """Return the notes, each once, those that are an `Assumption` first."""
     return tuple(sorted(dict.fromkeys(notes), key=lambda note: not isinstance(note, Assumption)))
 
 

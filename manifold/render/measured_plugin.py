@@ -1,8 +1,10 @@
-"""Loads Mitsuba's plugin `measured` so that it turns or mirrors no directions.
+"""Loads Mitsuba's plugin `measured` so that it does not rotate or mirror directions.
 
-The plugin folds incident azimuths by the repeats of an anisotropic file. For an isotropic file it leaves their number
-unset (`m_reduction`), so what the memory held before decides whether an instance evaluates directions as they are,
-turns them by half a turn, which changes values by rounding, or mirrors them, which exchanges the noise of both sides.
+The plugin reduces incident azimuths by the number of times that an anisotropic file repeats. For an isotropic file
+this number (`m_reduction`) is not initialised. What the memory held before decides whether an instance evaluates
+directions as they are, rotates them by half a turn, which changes values by rounding, or mirrors them, which exchanges
+the noise of both sides of the plane of incidence.
+
 Source: https://github.com/mitsuba-renderer/mitsuba3/pull/1850, open for Mitsuba 3.9.1.
 """
 

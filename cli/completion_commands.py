@@ -234,7 +234,7 @@ def complete(
 
 
 def _require_consistent(readings: Sequence[Path], colour: LabOptions, asked: MadeOptions) -> None:
-    """Raise UsageError where options contradict each other, or go with others that are not given."""
+    """Raise UsageError if options contradict each other, or need others that are not given."""
     if readings and colour.lab is not None:
         raise UsageError(
             f"found --lab {colour.lab} and readings {readings[0]}, expected one of them; a colour has commas, such as "

@@ -181,7 +181,7 @@ def export(
         Path | None,
         options.output_option(
             "The file: {manifold.registries.EXPORTS_IN_WORDS}; for many materials, a folder. "
-            "[default: NAME and the suffix, or NAME_TARGET and the suffix for JSON and where the suffix selects "
+            "[default: NAME and the suffix, or NAME_TARGET and the suffix for JSON, or if the suffix selects "
             "another target; for many materials the folder exports, or for shaders the folder shaders]"
         ),
     ] = None,

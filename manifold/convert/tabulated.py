@@ -182,7 +182,7 @@ class _Slice:
     """Values on the disk of outgoing directions: linear on triangles, and the nearest value outside of them."""
 
     def __init__(self, place: Array, values: Array, what: str) -> None:
-        """Triangulate places (n, 2) with values (n, B). Raises UsageError where that is impossible."""
+        """Triangulate places (n, 2) with values (n, B). Raises UsageError if that is impossible."""
         remedy = "do not determine a BRDF; complete them with a library (`manifold complete`)"
         if len(place) < _LEAST_PER_INCIDENCE:
             raise UsageError(f"{what}, {len(place)} at one incidence, {remedy}")

@@ -637,7 +637,7 @@ def _geometries(table: Table, columns: Columns) -> Iterator[str]:
 
 
 def _require_nothing_above(table: Table, columns: Columns, context: ErrorContext) -> None:
-    """Raise FileFormatError where readings stand above the header."""
+    """Raise FileFormatError if there are readings above the header."""
     for index in range(columns.row):
         count = sum(number(table.text(index, k)) is not None for k in range(len(table.rows[index])))
         if count >= len(columns.bands) + len(columns.angles) and (

@@ -77,7 +77,7 @@ class Settings(ABC):
 class BlendSettings(Settings):
     """The settings of a map of blends, where every point is a non-negative combination of the cube roots of materials.
 
-    It has the attributes of `Settings` too.
+    It also has the attributes of `Settings`.
 
     Attributes:
         sample_bands: largest number of bands per material from which colours are mixed.
@@ -118,7 +118,7 @@ class BlendSettings(Settings):
 class GplvmSettings(Settings):
     """The settings of a Gaussian-process latent variable model of whole materials (Hikichi & Iwasaki).
 
-    It has the attributes of `Settings` too.
+    It also has the attributes of `Settings`.
 
     Attributes:
         mapping: name of the mapping.

@@ -90,7 +90,7 @@ class Actions {
     const looks = this.explorer.looks(), name = this.explorer.byId("action-name").value;
     for (const [k, look] of looks.entries()) {
       if (look.without) {
-        this.explorer.problem("commands predict of all materials; choose another point");
+        this.explorer.problem("commands predict from all materials; choose another point");
         return;
       }
       if (look.colour === "own") {

@@ -819,6 +819,6 @@ def test_no_command_predicts_without_a_material_that_it_would_use(served, served
     page, before = served_page.page, len(served.queue.jobs)
     page.evaluate("explorer.reset(); explorer.goTo(1); explorer.leaveOut()")
     control(page, "#do-predict").click()
-    page.locator("#problem", has_text="commands predict of all materials").wait_for()
+    page.locator("#problem", has_text="commands predict from all materials").wait_for()
     assert len(served.queue.jobs) == before
     page.evaluate("explorer.reset(); explorer.problem('')")

@@ -48,7 +48,7 @@ def write_commands(*_: object) -> None:
     lines = [
         "# Commands",
         "",
-        "The help of every command with all of its options, as `manifold COMMAND --help-all` prints it. "
+        "This page shows the help of every command with all options, as `manifold COMMAND --help-all` prints it. "
         "[Environment variables and exit codes](environment.md) are the same for all commands.",
         "",
     ]

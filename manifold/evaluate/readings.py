@@ -202,12 +202,12 @@ def measure_curves(
     only: Sequence[str] = (),
     library: Library | None = None,
 ) -> list[Curve]:
-    """Complete each library material from the others and n readings, by all methods or by those with the given keys.
+    """Return the errors of completing each library material from the others and n readings, for all or some methods.
 
-    Readings have no noise and are in the bands of the atoms. Every method chooses its directions among elevations 0,
-    10, ... 80 degrees and azimuths in steps of 30. The last curves are completions at the directions of an MA-T12,
-    without and with gloss. Finished materials are kept in the library until the run ends, so that an interrupted run
-    continues.
+    `only` selects methods by their keys. Readings have no noise and are in the bands of the atoms. Every method chooses
+    its directions among elevations 0, 10, ... 80 degrees and azimuths in steps of 30. The last curves are completions
+    at the directions of an MA-T12, without and with gloss. Finished materials are kept in the library until the run
+    ends, so that an interrupted run continues.
     """
     methods = [METHODS[key] for key in only or METHODS]
     N = len(atoms.names)

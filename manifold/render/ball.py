@@ -29,7 +29,7 @@ class BallMaterial:
 
     Attributes:
         name: name for titles.
-        bsdf: the BSDF as a dictionary of Mitsuba.
+        bsdf: the BSDF as a Mitsuba dictionary.
         is_rgb: whether the material is linear sRGB, without a spectrum.
         route: text that says how the renderer evaluates the material.
     """

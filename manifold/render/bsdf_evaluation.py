@@ -2,8 +2,8 @@
 
 BSDFs of `manifold.analytic.principled.MODELS` are evaluated in NumPy, all others by Mitsuba itself, on its
 LLVM backend: every texture slot of a plugin holds a *lane texture*, whose value is an array with one entry per lane
-of the wavefront. One kernel then evaluates any number of parameter vectors at all direction pairs, and a second one,
-with a different tangent per lane, all columns of a Jacobian.
+of the wavefront. One kernel then evaluates any number of parameter vectors at all direction pairs. A second one, with a
+different tangent per lane, evaluates all columns of a Jacobian.
 """
 
 from __future__ import annotations

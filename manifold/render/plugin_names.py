@@ -33,7 +33,7 @@ def require_plugins(types: Iterable[object], origin: str) -> None:
 
 
 def types_of(content: Any) -> Iterator[object]:
-    """Yield the types of all plugins in a dictionary of Mitsuba, recursively."""
+    """Yield the types of all plugins in a Mitsuba dictionary, recursively."""
     return (node["type"] for node in nodes_of(content) if isinstance(node, dict) and "type" in node)
 
 

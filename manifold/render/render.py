@@ -71,7 +71,7 @@ def render_bsdf(
     is_rgb: bool,
     settings: RenderSettings,
 ) -> Array:
-    """Render the ball of a material, given as a dictionary of Mitsuba, in linear sRGB, shape (size, size, 3).
+    """Render the ball of a material, given as a Mitsuba dictionary, in linear sRGB, shape (size, size, 3).
 
     With a window in the settings, the result has the window's shape. Materials without a spectrum (`is_rgb`) can only
     be rendered under D65.

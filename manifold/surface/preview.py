@@ -119,7 +119,7 @@ def material_of(
     mi: Any, mean: Path, normal: Array, changes: Array, flakes: DrawnFlakes | None = None,
     repeats: tuple[float, float] = (1.0, -1.0),
 ) -> dict[str, Any]:  # fmt: skip
-    """Return the surface as a dictionary of Mitsuba's.
+    """Return the surface as a Mitsuba dictionary.
 
     Args:
         mi: Mitsuba.
@@ -138,7 +138,7 @@ def material_of(
 def with_flakes(
     mi: Any, material: Mapping[str, Any], flakes: DrawnFlakes, repeats: tuple[float, float]
 ) -> dict[str, Any]:
-    """Return a material with flakes as a dictionary of Mitsuba; for `repeats` see `material_of`."""
+    """Return a material with flakes as a Mitsuba dictionary; for `repeats` see `material_of`."""
     facet = {
         "type": "roughconductor", "material": "none", "distribution": "ggx", "alpha": flakes.flakes.roughness,
         "specular_reflectance": {"type": "uniform", "value": flakes.flakes.reflectance / flakes.share},

@@ -147,7 +147,7 @@ def budget_scene(
 ) -> Budget:
     """Find the cheapest representation of each measured material of a scene that keeps its picture.
 
-    The scene is an XML or JSON file, or a dictionary of Mitsuba made of plain values. The chosen files and a scene
+    The scene is an XML or JSON file, or a Mitsuba dictionary of plain values. The chosen files and a scene
     that uses them are written to the folder `output`, which is created if missing; `picture` shows both renderings
     and the cost of every representation.
     """

@@ -72,7 +72,7 @@ def lab_values(f: Array, bands: Bands, viewing: Viewing = DAYLIGHT) -> Array:
 def is_beyond_reflectances(lab: Array, share: float = BEYOND_COLOURS) -> bool:
     """Return whether a CIELAB colour (3,) is clearly outside the colours of reflectances from 0 to 1 under D65.
 
-    By default, fluorescent paints lie within.
+    With the default margin, fluorescent paints lie inside.
     """
     white = srgb_to_xyz(np.ones(3))
     xyz = np.asarray(colour_science().Lab_to_XYZ(lab, white[:2] / white.sum()))

@@ -234,11 +234,11 @@ def profile(path: Path, rounds: int) -> dict[str, Any]:
         loops.Tables(has_scale, file.ndf, file.sigma, normals, brdf.spectra[..., :1])
         for has_scale in (True, False)
     )
-    pairs = pairs_of(PROFILED)
-    wi, wo = pairs["random"]
-    pairs["one pair"] = np.repeat(wi[:1], len(wi), axis=0), np.repeat(wo[:1], len(wo), axis=0)
+    u = np.random.default_rng(2).random((PROFILED, 2))
+    places = {where: (*of, u) for where, of in pairs_of(PROFILED).items()}
+    places["one pair"] = tuple(np.repeat(of[:1], PROFILED, axis=0) for of in places["random"])
     tables = (normals, luminance, small, smaller, scaled, plain)
-    calls = {where: _stages(brdf, tables, *of, rounds) for where, of in pairs.items()}
+    calls = {where: _stages(brdf, tables, *of, rounds) for where, of in places.items()}
     slices = 4 if len(axes[0]) > 1 else 2
     node = 4 * max(file.bands.count, 4)  # bytes; three bands are stored as four
     numbers = {"visible normals": file.vndf, "luminance": file.luminance}
@@ -251,19 +251,17 @@ def profile(path: Path, rounds: int) -> dict[str, Any]:
             "inversion": slices * (2 * 16 + 32),  # a cell in two rows; sums of two rows
             "ndf, sigma": 16,
             "bands": slices * 4 * node,
-            "luminance, Jacobian": slices * (2 * 16 + 32),
+            "luminance, Jacobian": slices * 2 * 16,
         },
     }
 
 
 def _stages(
-    brdf: MeasuredBRDF, tables: tuple[Any, ...], wi: np.ndarray, wo: np.ndarray, rounds: int
+    brdf: MeasuredBRDF, tables: tuple[Any, ...], wi: np.ndarray, wo: np.ndarray, u: np.ndarray, rounds: int
 ) -> dict[str, dict[str, float]]:
-    """Measure stages by differences of loops that have them and loops that do not."""
+    """Measure stages of calls, by call and stage: times of loops that have them less those of loops that do not."""
     normals, luminance, small, smaller, scaled, plain = tables
     n, symmetry = len(wi), brdf.symmetry[:2]
-    is_one = np.array_equal(wi[0], wi[1]) and np.array_equal(wo[0], wo[1])
-    u = np.full((n, 2), 0.3) if is_one else np.random.default_rng(2).random((n, 2))
     located, values, value = np.empty((n, 5)), np.zeros((n, brdf.bands.count)), np.zeros((n, 1))
     loops.locate_pairs(wi, wo, *symmetry, located)
     theta, phi, x = (np.ascontiguousarray(located[:, of]) for of in (0, 1, slice(2, 4)))

@@ -8,6 +8,10 @@ again; and a weighted sum of eight files as predictions evaluate it, whose ratio
 wavelengths at a time, so 49 calls cover 195 bands, and keeps its memory. All run warm, alternately, on all cores. The
 medians of the rounds count, of processor time and of wall time: 1 is equal, less is slower. Without files, a synthetic
 material is measured.
+
+The profile below each table has the processor time of the stages of `eval`, `pdf` and `sample` on one core, measured by
+calling compiled loops that contain some of them: at random pairs, at neighbours, and at one pair again and again, which
+finds all numbers in the nearest cache. So the difference to random pairs is what cache misses cost.
 """
 
 from __future__ import annotations
@@ -27,6 +31,8 @@ import numpy as np
 
 from manifold.analytic import corpus
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.warp import Warp
+from manifold.core.compiled import loops
 from manifold.core.directions import from_spherical
 from manifold.core.pairs import RusinkiewiczGrid
 from manifold.io_rgl import read_bsdf, write_bsdf
@@ -38,6 +44,8 @@ from manifold.render import backend
 SUMMED = 8  # files of a weighted sum
 MATERIAL = "syn_satin_gold"
 PAIRS = {"rgb": 2_000_000, "spectral": 200_000}
+PROFILED = 100_000  # pairs of a profile
+SAMPLE, INVERT = 1, 2  # modes of `map_points`
 
 Work = Callable[[], object]
 
@@ -66,6 +74,7 @@ def main() -> None:
         for kind, count in PAIRS.items():
             path = getattr(arguments, kind) or synthetic(kind, Path(folder))
             result[kind] = compare(path, kind, arguments.pairs or count, arguments.rounds)
+            result[kind]["profile"] = profile(path, arguments.rounds)
             show(kind, result[kind])
     if arguments.json:
         arguments.json.write_text(json.dumps(result, indent=2) + "\n")
@@ -87,6 +96,13 @@ def show(kind: str, result: dict[str, Any]) -> None:
     print(f"  {'':<40} ns per pair (processor)   ratio: processor   wall")
     for name, of in result["methods"].items():
         print(f"  {name:<40} {of['cpu_ns']:12.1f} {of['cpu_ratio']:26.2f} {of['wall_ratio']:11.2f}")
+    memory, calls = result["profile"]["memory_mb"], result["profile"]["calls"]
+    print(f"  tables in memory, MB: {', '.join(f'{name} {mb:.2f}' for name, mb in memory.items())}")
+    print(f"  {'':<40} bytes read  ns per pair: {', '.join(calls)}")
+    for call, stages in next(iter(calls.values())).items():
+        for stage in stages:
+            ns = "".join(f"{of[call][stage]:12.1f}" for of in calls.values())
+            print(f"  {f'{call}: {stage}':<40} {result['profile']['bytes'].get(stage, ''):>10} {ns}")
 
 
 def pairs_of(count: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -202,6 +218,93 @@ def compare(path: Path, kind: str, count: int, rounds: int) -> dict[str, Any]:
                 "mitsuba_cpu_ns": statistics.median(times[of][:, 0]) / n * 1e9,
             }
     return {"file": path.stem, "pairs": count, "bands": bands, "methods": methods}
+
+
+def profile(path: Path, rounds: int) -> dict[str, Any]:
+    """Measure the stages of calls in ns per pair, and count the bytes that a pair reads and those of the tables."""
+    file = read_bsdf(path)
+    brdf, axes = MeasuredBRDF(file), (file.phi_i_rad, file.theta_i_rad)
+    normals = Warp(file.vndf, *axes).tables
+    luminance = Warp(np.maximum(file.luminance, 1e-9), *axes).tables
+    # Warps that are always in the cache, of all angles of incidence and of two, which need no search.
+    small, smaller = (
+        Warp(np.ones((1, len(of), 2, 2)), np.zeros(1), of).tables for of in (axes[1], axes[1][:2])
+    )
+    scaled, plain = (
+        loops.Tables(has_scale, file.ndf, file.sigma, normals, brdf.spectra[..., :1])
+        for has_scale in (True, False)
+    )
+    u = np.random.default_rng(2).random((PROFILED, 2))
+    places = {where: (*of, u) for where, of in pairs_of(PROFILED).items()}
+    places["one pair"] = tuple(np.repeat(of[:1], PROFILED, axis=0) for of in places["random"])
+    tables = (normals, luminance, small, smaller, scaled, plain)
+    calls = {where: _stages(brdf, tables, *of, rounds) for where, of in places.items()}
+    slices = 4 if len(axes[0]) > 1 else 2
+    node = 4 * max(file.bands.count, 4)  # bytes; three bands are stored as four
+    numbers = {"visible normals": file.vndf, "luminance": file.luminance}
+    return {
+        "calls": calls,
+        "memory_mb": {name: 12e-6 * of.size for name, of in numbers.items()}  # three singles per node
+        | {"bands": 1e-6 * node * file.luminance.size},
+        "bytes": {
+            "angles, half vectors": 48,
+            "inversion": slices * (2 * 16 + 32),  # a cell in two rows; sums of two rows
+            "ndf, sigma": 16,
+            "bands": slices * 4 * node,
+            "luminance, Jacobian": slices * 2 * 16,
+        },
+    }
+
+
+def _stages(
+    brdf: MeasuredBRDF, tables: tuple[Any, ...], wi: np.ndarray, wo: np.ndarray, u: np.ndarray, rounds: int
+) -> dict[str, dict[str, float]]:
+    """Measure stages of calls, by call and stage: times of loops that have them less those of loops that do not."""
+    normals, luminance, small, smaller, scaled, plain = tables
+    n, symmetry = len(wi), brdf.symmetry[:2]
+    located, values, value = np.empty((n, 5)), np.zeros((n, brdf.bands.count)), np.zeros((n, 1))
+    loops.locate_pairs(wi, wo, *symmetry, located)
+    theta, phi, x = (np.ascontiguousarray(located[:, of]) for of in (0, 1, slice(2, 4)))
+    point, pdf = np.zeros((n, 3)), np.zeros(n)
+    seconds = alternate(
+        {
+            "located": lambda: loops.locate_pairs(wi, wo, *symmetry, located),
+            "inverted": lambda: loops.map_points(INVERT, normals, phi, theta, x, point),
+            "bracket": lambda: loops.map_points(INVERT, small, phi, theta, x, point),
+            "no bracket": lambda: loops.map_points(INVERT, smaller, phi, theta, x, point),
+            "scale": lambda: loops.eval_located(located, scaled, value),
+            "no scale": lambda: loops.eval_located(located, plain, value),
+            "values": lambda: loops.eval_located(located, brdf.tables, values),
+            "eval": lambda: loops.eval_pairs(wi, wo, *symmetry, True, brdf.tables, values),
+            "pdf": lambda: loops.pdf_of_pairs(wi, wo, *symmetry, brdf.tables, luminance, pdf),
+            "luminance": lambda: loops.map_points(SAMPLE, luminance, phi, theta, u, point),
+            "normals": lambda: loops.map_points(SAMPLE, normals, phi, theta, u, point),
+            "sample": lambda: loops.sample_directions(wi, u, *symmetry, brdf.tables, luminance, point, pdf),
+        },
+        rounds,
+    )
+    ns = {name: times[:, 0] / n * 1e9 for name, times in seconds.items()}  # [rounds] each
+    bracket, scale = ns["bracket"] - ns["no bracket"], ns["scale"] - ns["no scale"]
+    common = {
+        "angles, half vectors": ns["located"],
+        "bracket": bracket,
+        "inversion": ns["inverted"] - bracket,
+    }
+    bands = {"ndf, sigma": scale, "bands": ns["values"] - ns["inverted"] - scale, "whole": ns["eval"]}
+    calls = {
+        "eval": common | bands,
+        "pdf": common
+        | {"luminance, Jacobian": ns["pdf"] - ns["located"] - ns["inverted"], "whole": ns["pdf"]},
+        "sample": {
+            "point of luminance": ns["luminance"],
+            "visible normal": ns["normals"],
+            "angles, directions": ns["sample"] - ns["luminance"] - ns["normals"],
+            "whole": ns["sample"],
+        },
+    }
+    return {
+        call: {stage: float(np.median(of)) for stage, of in stages.items()} for call, stages in calls.items()
+    }
 
 
 def alternate(works: dict[str, Work], rounds: int) -> dict[str, np.ndarray]:

@@ -450,8 +450,8 @@ bool sample_directions(Arrays wi, Arrays uniforms, bool isotropic, int repeats, 
             with_slices(warp.phi, [&](auto slices) INLINE_LAMBDA {
                 Slices<slices> around;
                 around.find(warp.phi, warp.theta, i.phi, i.theta);
-                luminance.sample(around, u, v, n, u, v, of_luminance);
-                warp.sample(around, u, v, n, u, v, of_normal);
+                luminance.sample(around, u, v, u, v, of_luminance);
+                warp.sample(around, u, v, u, v, of_normal);
             });
             const Normals m(u, v, i, symmetry);
             Directions to;
@@ -502,7 +502,7 @@ void integrate(Arrays wi, bool isotropic, int repeats, const Tables &tables, Cub
                     double *RESTRICT sums = out.data() + (k * n + line) * bands, *RESTRICT row = row_of_point.data();
                     over_tiles(n, [&](ptrdiff_t start, int points) INLINE_LAMBDA {
                         for (int j = 0; j < TILE; ++j) u[j] = (start + j + 0.5) / n, v[j] = (line + 0.5) / n;
-                        tables.warp.sample(around, u, v, points, x, y, pdf);
+                        tables.warp.sample(around, u, v, x, y, pdf);
                         const Normals m(x, y, i, symmetry);
                         tables.scale(i.theta, i.phi, x, y, scale);
                         for (int j = 0; j < TILE; ++j) scale[j] *= half_vector_jacobian(x[j], m.sine[j], m.cos_im[j]) / pdf[j];
@@ -545,7 +545,7 @@ void map_points(int mode, const Warp &warp, Vector<const double> phi, Vector<con
                 Slices<slices> around;
                 around.find(warp.phi, warp.theta, phi_of_tile, theta_of_tile);
                 if (mode == SAMPLE) {
-                    warp.sample(around, x, y, n, to_x, to_y, pdf);
+                    warp.sample(around, x, y, to_x, to_y, pdf);
                     return;
                 }
                 Cells at;

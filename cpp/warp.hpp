@@ -125,15 +125,12 @@ class Warp {
 
     Warp(Cube<const float> values, Vector<const double> phi_nodes, Vector<const double> theta_nodes)
         : phi(phi_nodes), theta(theta_nodes), slices(int(values.shape(0))), rows(int(values.shape(1))),
-          columns(int(values.shape(2))) {
+          columns(int(values.shape(2))), guided((columns - 2) / BLOCK) {
         require(phi.size() >= 1 && theta.size() >= 1 && slices == phi.size() * theta.size() && rows >= 2 && columns >= 2,
                 "expected a slice of at least 2 x 2 nodes for each pair of azimuth and elevation");
         const size_t R = size_t(rows), C = size_t(columns);
-        coarse_columns = padded((C - 2) / BLOCK), coarse_rows = padded((R - 2) / BLOCK), fine_rows = padded(R - 2);
-        nodes.resize(slices * R * C * 3 + 3 * BLOCK);
+        nodes.resize(slices * R * C * 3);
         sums.resize(slices * R * 2);
-        column_guides.resize(slices * R * coarse_columns, BEYOND);
-        row_guides.resize(slices * (coarse_rows + fine_rows), BEYOND);
         for (int s = 0; s < slices; ++s) {
             const float *density = values.data() + s * R * C;
             double marginal = 0.0, before = 0.0;
@@ -142,16 +139,12 @@ class Warp {
                 double sum = 0.0;
                 for (size_t j = 0; j < C; ++j, node += 3) {
                     if (j > 0) sum += 0.5 * (double(density[j - 1]) + density[j]);
+                    if (j > 0 && j % BLOCK == 0 && j < C - 1) guides.push_back(float(sum));
                     node[0] = density[j], node[1] = float(sum), node[2] = float(sum - node[1]);
-                    if (j > 0 && j % BLOCK == 0 && j < C - 1)
-                        column_guides[(s * R + i) * coarse_columns + j / BLOCK - 1] = node[1];
                 }
                 if (i > 0) marginal += 0.5 * (before + sum);
                 before = sum;
                 sums[(s * R + i) * 2] = sum, sums[(s * R + i) * 2 + 1] = marginal;
-                float *guide = row_guides.data() + s * (coarse_rows + fine_rows);
-                if (i > 0 && i < R - 1) guide[coarse_rows + i - 1] = float(marginal);
-                if (i > 0 && i < R - 1 && i % BLOCK == 0) guide[i / BLOCK - 1] = float(marginal);
             }
             inverse_totals.push_back(1.0 / marginal);
         }
@@ -160,16 +153,18 @@ class Warp {
     // Densities (n) of points of a tile; they integrate to 1 over the unit square.
     template <int N> INLINE void evaluate(const Slices<N> &around, const Cells &at, double *pdf) const {
         double cells[TILE][4];
-        for (int k = 0; k < TILE; ++k) read_cell(around, k, at.row[k], at.column[k], at.y[k], cells[k]);
+        const Shares<N> shares(*this, around);
+        for (int k = 0; k < TILE; ++k) shares.read_cell(k, at.row[k], at.column[k], at.y[k], cells[k]);
         for (int k = 0; k < TILE; ++k) pdf[k] = between(cells[k], at.x[k]);
     }
 
     // The uniform variates that `sample` maps to points of a tile, and the densities there.
     template <int N> INLINE void invert(const Slices<N> &around, const Cells &at, double *u, double *v, double *pdf) const {
         double cells[TILE][4], rows_around[TILE][4];
+        const Shares<N> shares(*this, around);
         for (int k = 0; k < TILE; ++k) {
-            read_cell(around, k, at.row[k], at.column[k], at.y[k], cells[k]);
-            read_rows(around, k, at.row[k], rows_around[k]);
+            shares.read_cell(k, at.row[k], at.column[k], at.y[k], cells[k]);
+            shares.read_rows(k, at.row[k], rows_around[k]);
         }
         for (int k = 0; k < TILE; ++k) {
             const double *cell = cells[k], *row = rows_around[k], x = at.x[k], y = at.y[k];
@@ -180,21 +175,43 @@ class Warp {
         }
     }
 
-    // The points (x, y) of n uniform variates (u, v) of a tile, and the densities there.
+    // The points (x, y) of the uniform variates (u, v) of a tile, and the densities there.
     template <int N>
-    INLINE void sample(const Slices<N> &around, const double *u, const double *v, int n, double *x, double *y,
-                       double *pdf) const {
+    INLINE void sample(const Slices<N> &around, const double *u, const double *v, double *x, double *y, double *pdf) const {
         double found[TILE][4], target[TILE], offset[TILE];
-        int row[TILE], column[TILE];
-        for (int k = n; k < TILE; ++k) row[k] = column[k] = 0, found[k][0] = found[k][1] = found[k][2] = found[k][3] = 1.0;
-        for (int k = 0; k < n; ++k) row[k] = find_row(around, k, inside(v[k]), found[k]);
+        float single_target[TILE], weights[2 * N][TILE];
+        int row[TILE], column[TILE], first[2 * N][TILE];
+        const Shares<N> shares(*this, around);
+        for (int k = 0; k < TILE; ++k) row[k] = column[k] = 0, target[k] = inside(v[k]);
+        for (int q = 0; q < N; ++q)
+            for (int k = 0; k < TILE; ++k) first[q][k] = around.index[q][k] * rows * 2;
+        bisect<N>(sums.data() + 3, 2, rows - 2, first, shares.weight, target, row);
+        for (int k = 0; k < TILE; ++k) shares.read_rows(k, row[k], found[k]);
         for (int k = 0; k < TILE; ++k) {
             const double *rows_around = found[k];
-            offset[k] = invert_linear(rows_around[0], rows_around[2], inside(v[k]) - rows_around[1]);
+            offset[k] = invert_linear(rows_around[0], rows_around[2], target[k] - rows_around[1]);
             target[k] = inside(u[k]) * ((1.0 - offset[k]) * rows_around[0] + offset[k] * rows_around[2]);
+            single_target[k] = float(target[k]);
         }
-        for (int k = 0; k < n; ++k) column[k] = find_block(around, k, row[k], offset[k], target[k]);
-        for (int k = 0; k < n; ++k) column[k] = find_column(around, k, row[k], column[k], offset[k], target[k], found[k]);
+        for (int q = 0; q < N; ++q)
+            for (int k = 0; k < TILE; ++k) {
+                first[2 * q][k] = (around.index[q][k] * rows + row[k]) * guided;
+                first[2 * q + 1][k] = first[2 * q][k] + guided;
+                weights[2 * q][k] = float((1.0 - offset[k]) * shares.weight[q][k]);
+                weights[2 * q + 1][k] = float(offset[k] * shares.weight[q][k]);
+            }
+        // Sums of single precision, in guides and then between two of them, lead to the column or next to it.
+        bisect<2 * N>(guides.data(), 1, guided, first, weights, single_target, column);
+        const int inner = std::min(BLOCK - 1, columns - 2);
+        for (int k = 0; k < TILE; ++k) column[k] = std::min(BLOCK * column[k], columns - 2 - inner);
+        for (int q = 0; q < N; ++q)
+            for (int k = 0; k < TILE; ++k) {
+                first[2 * q][k] = (around.index[q][k] * rows + row[k]) * columns * 3;
+                first[2 * q + 1][k] = first[2 * q][k] + columns * 3;
+            }
+        bisect<2 * N>(nodes.data() + 4, 3, inner, first, weights, single_target, column);
+        for (int k = 0; k < TILE; ++k)
+            column[k] = settle_column(shares, k, row[k], column[k], offset[k], target[k], found[k]);
         for (int k = 0; k < TILE; ++k) {
             const double *cell = found[k];
             const double t = invert_linear(cell[0], cell[3], target[k] - (cell[1] + cell[2]));
@@ -204,19 +221,15 @@ class Warp {
     }
 
   private:
-    static constexpr int BLOCK = 8;         // nodes between two of a guide
-    static constexpr float BEYOND = 1e30f;  // in guides behind the last node: no sum reaches it
+    static constexpr int BLOCK = 8; // columns between two guides, whose nodes are in two or three lines of the cache
+    const int guided;               // guides of a row
 
     // Of each node its density, as the file has it, and the cumulative sum before it in two parts, whose sum has double
     // precision; so the four numbers from a node on are all that its cell takes.
-    std::vector<float> nodes;    // (slice, row, column, 3)
-    std::vector<double> sums;    // (slice, row, 2): of the row, and of the rows below it
+    std::vector<float> nodes;  // (slice, row, column, 3)
+    std::vector<double> sums;  // (slice, row, 2): of the row, and of the rows below it
+    std::vector<float> guides; // (slice, row, column / BLOCK): cumulative sums of inner nodes
     std::vector<double> inverse_totals;
-    // Cumulative sums of inner nodes: every eighth one of a row; every eighth row, then every row.
-    std::vector<float> column_guides, row_guides;
-    size_t coarse_columns, coarse_rows, fine_rows;
-
-    static size_t padded(size_t n) { return (n + BLOCK - 1) / BLOCK * BLOCK; }
 
     static INLINE double inside(double variate) { return clamped(variate, 1e-12, 1.0 - 1e-12); }
 
@@ -224,106 +237,66 @@ class Warp {
         return ((1.0 - x) * cell[0] + x * cell[3]) * (double(rows - 1) * (columns - 1));
     }
 
-    template <int N> INLINE double share(const Slices<N> &around, int q, int k) const {
-        return around.share[q][k] * inverse_totals[around.index[q][k]];
-    }
+    // Slices around the pairs of a tile, and what to multiply their numbers by.
+    template <int N> struct Shares {
+        const Warp &warp;
+        const Slices<N> &around;
+        double weight[N][TILE];
 
-    // Of the cell of pair k at y between its rows: the density at its left, the cumulative sum in two parts, the density
-    // at its right.
-    template <int N> INLINE void read_cell(const Slices<N> &around, int k, int row, int column, double y, double *out) const {
-        double sum[4] = {};
-        for (int q = 0; q < N; ++q) {
-            const double weight = share(around, q, k), low_weight = (1.0 - y) * weight, high_weight = y * weight;
-            const float *low = nodes.data() + ((ptrdiff_t(around.index[q][k]) * rows + row) * columns + column) * 3;
-            const float *high = low + ptrdiff_t(columns) * 3;
-            for (int c = 0; c < 4; ++c) sum[c] += low_weight * low[c] + high_weight * high[c];
+        INLINE Shares(const Warp &warp, const Slices<N> &around) : warp(warp), around(around) {
+            const double *inverse = warp.inverse_totals.data();
+            for (int q = 0; q < N; ++q)
+                for (int k = 0; k < TILE; ++k) weight[q][k] = around.share[q][k] * inverse[around.index[q][k]];
         }
-        for (int c = 0; c < 4; ++c) out[c] = sum[c];
-    }
 
-    // Of a row the sum, and that of the rows below it; then the same of the next row.
-    template <int N> INLINE void read_rows(const Slices<N> &around, int k, int row, double *out) const {
-        double sum[4] = {};
-        for (int q = 0; q < N; ++q) {
-            const double weight = share(around, q, k);
-            const double *of_row = sums.data() + (ptrdiff_t(around.index[q][k]) * rows + row) * 2;
-            for (int c = 0; c < 4; ++c) sum[c] += weight * of_row[c];
-        }
-        for (int c = 0; c < 4; ++c) out[c] = sum[c];
-    }
-
-    // How many of a guide's nodes lie below a target, over all its blocks or in one.
-    template <int M> static INLINE int count_below(const float *const *guides, const float *weights, size_t length, float target) {
-        int count = 0;
-        for (size_t start = 0; start < length; start += BLOCK)
-            for (int e = 0; e < BLOCK; ++e) {
-                float sum = 0.0f;
-                for (int q = 0; q < M; ++q) sum += weights[q] * guides[q][start + e];
-                count += sum < target;
+        // Of the cell of pair k at y between its rows: the density at its left, the cumulative sum in two parts, the
+        // density at its right.
+        INLINE void read_cell(int k, int row, int column, double y, double *out) const {
+            double sum[4] = {};
+            for (int q = 0; q < N; ++q) {
+                const double low_weight = (1.0 - y) * weight[q][k], high_weight = y * weight[q][k];
+                const float *low =
+                    warp.nodes.data() + ((ptrdiff_t(around.index[q][k]) * warp.rows + row) * warp.columns + column) * 3;
+                const float *high = low + ptrdiff_t(warp.columns) * 3;
+                for (int c = 0; c < 4; ++c) sum[c] += low_weight * low[c] + high_weight * high[c];
             }
-        return count;
-    }
-
-    // The row whose marginal holds v, and what `read_rows` has of it. Guides of single precision lead to it or next to it.
-    template <int N> INLINE int find_row(const Slices<N> &around, int k, double v, double *out) const {
-        const float *guides[N];
-        float weights[N];
-        for (int q = 0; q < N; ++q) {
-            guides[q] = row_guides.data() + around.index[q][k] * (coarse_rows + fine_rows);
-            weights[q] = float(share(around, q, k));
+            for (int c = 0; c < 4; ++c) out[c] = sum[c];
         }
-        int row = BLOCK * count_below<N>(guides, weights, coarse_rows, float(v));
-        for (int q = 0; q < N; ++q) guides[q] += coarse_rows + row;
-        row += count_below<N>(guides, weights, fine_rows > 0 ? BLOCK : 0, float(v));
-        read_rows(around, k, row, out);
-        while (row > 0 && !(out[1] < v)) read_rows(around, k, --row, out);
-        while (row < rows - 2 && out[3] < v) read_rows(around, k, ++row, out);
-        return row;
+
+        // Of a row the sum, and that of the rows below it; then the same of the next row.
+        INLINE void read_rows(int k, int row, double *out) const {
+            double sum[4] = {};
+            for (int q = 0; q < N; ++q) {
+                const double *of_row = warp.sums.data() + (ptrdiff_t(around.index[q][k]) * warp.rows + row) * 2;
+                for (int c = 0; c < 4; ++c) sum[c] += weight[q][k] * of_row[c];
+            }
+            for (int c = 0; c < 4; ++c) out[c] = sum[c];
+        }
+    };
+
+    // Add to `found` how many of the `count` increasing sums from there on, blended from M places of a table, lie below a
+    // target. All pairs take the same steps, so that they are compared four or eight at once.
+    template <int M, class Real>
+    static INLINE void bisect(const Real *table, int step, int count, const int (*first)[TILE], const Real (*weights)[TILE],
+                              const Real *target, int *found) {
+        while (count > 0) {
+            const int half = (count + 1) / 2;
+            for (int k = 0; k < TILE; ++k) {
+                Real sum = 0;
+                for (int q = 0; q < M; ++q) sum += weights[q][k] * table[first[q][k] + (found[k] + half - 1) * step];
+                found[k] += sum < target[k] ? half : 0;
+            }
+            count -= half;
+        }
     }
 
-    // Of the pair's slices two rows each, of `width` numbers, and their weights at y between the rows.
+    // The column at or next to `column` whose conditional holds the target, and what `read_cell` has of it.
     template <int N>
-    INLINE void rows_at(const Slices<N> &around, int k, int row, double y, const std::vector<float> &table, size_t width,
-                        const float **of_rows, float *weights) const {
-        for (int q = 0; q < N; ++q) {
-            const double weight = share(around, q, k);
-            weights[2 * q] = float((1.0 - y) * weight), weights[2 * q + 1] = float(y * weight);
-            of_rows[2 * q] = table.data() + (ptrdiff_t(around.index[q][k]) * rows + row) * width;
-            of_rows[2 * q + 1] = of_rows[2 * q] + width;
-        }
-    }
-
-    // The first column of the block whose conditional at y between two rows holds a target, by guides.
-    template <int N> INLINE int find_block(const Slices<N> &around, int k, int row, double y, double target) const {
-        const float *of_rows[2 * N];
-        float weights[2 * N];
-        rows_at(around, k, row, y, column_guides, coarse_columns, of_rows, weights);
-        const int start = BLOCK * count_below<2 * N>(of_rows, weights, coarse_columns, float(target));
-        rows_at(around, k, row, y, nodes, size_t(columns) * 3, of_rows, weights);
-        for (int q = 0; q < 2 * N; ++q) prefetch(of_rows[q] + 3 * start), prefetch(of_rows[q] + 3 * (start + BLOCK));
-        return start;
-    }
-
-    // The column in a block or next to it whose conditional holds the target, and what `read_cell` has of it.
-    template <int N>
-    INLINE int find_column(const Slices<N> &around, int k, int row, int start, double y, double target, double *out) const {
-        const float *of_rows[2 * N];
-        float weights[2 * N], block[3 * BLOCK];
-        rows_at(around, k, row, y, nodes, size_t(columns) * 3, of_rows, weights);
-        for (int e = 0; e < 3 * BLOCK; ++e) {
-            float sum = 0.0f;
-            for (int q = 0; q < 2 * N; ++q) sum += weights[q] * of_rows[q][3 * (start + 1) + e];
-            block[e] = sum;
-        }
-        float reached[BLOCK];
-        for (int e = 0; e < BLOCK; ++e) reached[e] = block[3 * e + 1];
-        for (int e = 0; e < BLOCK; ++e) reached[e] = e < columns - 2 - start ? reached[e] : BEYOND;
-        int column = start;
-        for (int e = 0; e < BLOCK; ++e) column += reached[e] < float(target);
-        read_cell(around, k, row, column, y, out);
-        while (column > 0 && !(out[1] + out[2] < target)) read_cell(around, k, row, --column, y, out);
+    INLINE int settle_column(const Shares<N> &shares, int k, int row, int column, double y, double target, double *out) const {
+        shares.read_cell(k, row, column, y, out);
+        while (column > 0 && !(out[1] + out[2] < target)) shares.read_cell(k, row, --column, y, out);
         while (column < columns - 2 && out[1] + out[2] + 0.5 * (out[0] + out[3]) < target)
-            read_cell(around, k, row, ++column, y, out);
+            shares.read_cell(k, row, ++column, y, out);
         return column;
     }
 };

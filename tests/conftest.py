@@ -15,11 +15,14 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell starts what 
 
 SLOW_LEFT = pytest.StashKey[int]()
 LONGEST = (
-    "stability_catalogue", "bsdf_plugin", "explore_visitor", "sources", "explore_page", "workflows", "photographs",
-    "cli", "convert", "surface_files", "chart", "attributes", "lamps", "principled", "store", "export_command",
-    "derivatives", "material", "budget", "tutorials", "readme", "without_mitsuba", "reports", "explore_server",
-    "surface", "export_direct", "microfacet", "render", "report", "completion", "compact", "nonnegative_methods",
-    "turned_samples", "simulator_formats", "brdf", "model", "fit_json", "corpus", "gloss", "workers", "notebook",
+    "lamps", "surface_files", "bsdf_plugin", "export_command", "sources", "photographs", "stability_catalogue",
+    "export_direct", "workflows", "chart", "report", "attributes", "surface", "cli", "convert", "budget",
+    "readme", "completion", "material", "store", "without_mitsuba", "principled", "explore_visitor", "render",
+    "forward_model", "instruments", "derivatives", "model", "turned_samples", "reports", "tutorials", "gloss",
+    "notebook", "core_alone", "microfacet", "readings", "explore_server", "compact", "simulator_formats",
+    "explore_page", "fit_picture", "fit_json", "measured_plugin", "brdf", "corpus", "built_in_calibrations",
+    "selection", "principled_model", "reconstruction", "latents", "explore_surfaces", "workers",
+    "compressed_files", "nonnegative_methods", "heldout", "export_files",
 )  # fmt: skip
 """Test files that take longest: first, or one process is left with them when the others are done."""
 

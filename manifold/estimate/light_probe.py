@@ -52,6 +52,7 @@ _SMALLER = 1.2  # least ratio of residuals at which angles below the doubtful on
 _MOST_RESIDUAL = 0.3  # of a ball whose encoding is in doubt
 _OF_ENCODING = 3  # pictures in which encodings are compared; of more, some evenly spaced
 
+_Places = tuple[Array, Array, Array | float, Indices, Array]  # see `_Pixels._places`
 _NODES = np.sqrt([0.0, 1.0, 2.5, 4.5, 7.0, 10.0, 13.0, 17.0, 22.0, 28.0, 35.0, 45.0, 58.0, 72.0, 90.0])
 """Square roots of angles of the half vector, in degrees, between which the logarithm of the highlight is linear."""
 _SHAPE = 4  # numbers of the shading beside its highlight, see `_Pixels.shading`
@@ -484,17 +485,24 @@ class _Pixels:
         lit = np.maximum(np.sum(towards * n, axis=2), 0.0)
         return lit, np.broadcast_to(n[:, 2], lit.shape), np.clip(np.sum(half * n, axis=2), 0.0, 1.0), falloff
 
-    def shading(self, x: Array) -> tuple[Array, Array, Indices, Array]:
-        """Return light of the diffuse part and of the highlight, with the latter's nodes, each (P, M).
+    def _places(self, x: Array) -> _Places:
+        """Return what outline and lamps determine: cosines of lamp and camera, falloff, and nodes of the highlight.
 
         The logarithm of the highlight is interpolated: nodes are the index of the one before a pixel, and the share of
-        the one after it.
+        the one after it. Each has shape (P, M).
+        """
+        lit, seen, half, falloff = self._cosines(x)
+        place = np.sqrt(np.rad2deg(np.arccos(half)))
+        k = np.clip(np.searchsorted(_NODES, place) - 1, 0, len(_NODES) - 2)
+        return lit, seen, falloff, k, (place - _NODES[k]) / (_NODES[k + 1] - _NODES[k])
 
+    def shading(self, x: Array, places: _Places | None = None) -> tuple[Array, Array]:
+        """Return light of the diffuse part and of the highlight, each (P, M), at the places of these parameters.
 
         The diffuse part is Minnaert's `(l v)^k / v`, l and v being the cosines of lamp and camera, times a polynomial's
         exponential; the highlight is a function of the half vector over a power of `l v`. Source: Minnaert 1941.
         """
-        lit, seen, half, falloff = self._cosines(x)
+        lit, seen, falloff, k, share = self._places(x) if places is None else places
         shape, nodes = x[3 : 3 + _SHAPE], x[3 + _SHAPE : _COMMON]
         _, _, gain, strength = np.clip(x[_COMMON:].reshape(-1, _OWN, 1), -20.0, 20.0).transpose(1, 0, 2)
         both = np.maximum(lit, 1e-4) * np.maximum(seen, 0.03)
@@ -502,12 +510,9 @@ class _Pixels:
         limb = shape[1] * ((1.0 - lit) ** 2 + (1.0 - seen) ** 2) + shape[2] * (1.0 - lit) * (1.0 - seen)
         power = 1.0 / (1.0 + np.exp(np.clip(shape[3], -5.0, 5.0)))
         light = lit * falloff * np.exp(gain)
-        place = np.sqrt(np.rad2deg(np.arccos(half)))
-        k = np.clip(np.searchsorted(_NODES, place) - 1, 0, len(_NODES) - 2)
-        share = (place - _NODES[k]) / (_NODES[k + 1] - _NODES[k])
         log = (1.0 - share) * nodes[k] + share * nodes[k + 1]
         highlight = light * np.exp(np.clip(log + strength, -20.0, 20.0)) * both**-power
-        return light * both**flat * np.exp(np.clip(limb, -5.0, 5.0)), highlight, k, share
+        return light * both**flat * np.exp(np.clip(limb, -5.0, 5.0)), highlight
 
     def start(self, lamps: Array) -> Array:
         """Return the first parameters of a fit for lamps in directions (P, 3)."""
@@ -547,13 +552,15 @@ class _Pixels:
 
     def _linearised(self, x: Array, weights: Array) -> tuple[Array, Array]:
         """Return robust residuals of pixels and those of the prior, and their derivatives."""
-        diffuse, highlight, node, share = self.shading(x)
+        places = self._places(x)
+        *_, node, share = places
+        diffuse, highlight = self.shading(x, places)
         value = diffuse + highlight
         root = np.cbrt(value + self.dark)
         (P, M), n = value.shape, len(x)
         D = np.zeros((P, M, n))
         for k in range(3 + _SHAPE):
-            D[..., k] = (self._light(_stepped(x, [k])) - value) / _STEP
+            D[..., k] = (self._light(_stepped(x, [k]), None if k < 3 else places) - value) / _STEP
         of_nodes = D[..., 3 + _SHAPE : _COMMON]
         np.put_along_axis(of_nodes, node[..., None], (highlight * (1.0 - share))[..., None], 2)
         np.put_along_axis(of_nodes, node[..., None] + 1, (highlight * share)[..., None], 2)
@@ -574,8 +581,8 @@ class _Pixels:
         residual = np.concatenate([robust.ravel(), before])
         return residual, np.vstack([D.reshape(P * M, n), of_before])
 
-    def _light(self, x: Array) -> Array:
-        diffuse, highlight, *_ = self.shading(x)
+    def _light(self, x: Array, places: _Places | None = None) -> Array:
+        diffuse, highlight = self.shading(x, places)
         return diffuse + highlight
 
     def _counts(self, root: Array) -> Array:
@@ -626,7 +633,7 @@ class _Pixels:
         # A step of the parameters turns the lamp by about as much in radians: see `_directions`.
         degrees = np.hypot(np.rad2deg(np.hypot(*self.slopes(deviation).T)), _MODEL_DEG)
         gain, strength = fit.x[_COMMON:].reshape(-1, _OWN)[:, 2:].T
-        diffuse, highlight, *_ = self.shading(fit.x)
+        diffuse, highlight = self.shading(fit.x)
         shine = highlight.sum(axis=1) / np.maximum((diffuse + highlight).sum(axis=1), np.finfo(float).tiny)
         gains = np.exp(gain + shine * strength) * self.levels
         lamps = tuple(Lamp(direction, self.distance) for direction in _directions(self.slopes(fit.x)))

@@ -29,6 +29,8 @@ NOT_RUN = {
 }
 """Commands of the table that other tests run."""
 
+pytestmark = pytest.mark.usefixtures("quick_pictures")
+
 
 def labels(printed):
     """Of the rows of a result."""
@@ -36,16 +38,22 @@ def labels(printed):
 
 
 @pytest.fixture
-def folder(tmp_path, rng):
-    """A folder with the files that the table names."""
-    (tmp_path / "rgl").mkdir()
-    for name in NAMES:
-        write_bsdf(tmp_path / "rgl" / f"{name}_rgb.bsdf", measured(name))
+def sample(tmp_path, rng):
+    """A folder with the readings of a paint."""
     paint = Plastic(GGX.isotropic(0.2), np.array(1.5), np.full(31, 0.1), MA_T12_BANDS)
     write_ma_t12(tmp_path / "sample.xlsx", paint, "sample", rng)
-    (tmp_path / "formats").mkdir()
-    write_every_format(tmp_path / "formats")["merl"].rename(tmp_path / "alum.binary")
     return tmp_path
+
+
+@pytest.fixture
+def folder(sample):
+    """A folder with the files that the table names."""
+    (sample / "rgl").mkdir()
+    for name in NAMES:
+        write_bsdf(sample / "rgl" / f"{name}_rgb.bsdf", measured(name))
+    (sample / "formats").mkdir()
+    write_every_format(sample / "formats")["merl"].rename(sample / "alum.binary")
+    return sample
 
 
 def test_the_commands_of_the_table_run(run, folder):
@@ -63,12 +71,12 @@ def test_the_commands_of_the_table_run(run, folder):
         assert (folder / made).exists(), made
 
 
-def test_the_first_completion_writes_a_report(run, folder):
+def test_the_first_completion_writes_a_report(run, sample):
     (block, *_) = re.findall(r"```sh\n(.*?)```", README, flags=re.DOTALL)
     (line,) = [line for line in block.splitlines() if line.startswith("manifold complete ")]
-    status, _, err = run(*shlex.split(line, comments=True)[1:], cwd=folder)
+    status, _, err = run(*shlex.split(line, comments=True)[1:], cwd=sample)
     assert status == 0, err
-    assert (folder / "sample.html").is_file()
+    assert (sample / "sample.html").is_file()
 
 
 def test_printed_examples_have_the_numbers_of_what_is_printed(run, tmp_path):

@@ -11,7 +11,7 @@ from helpers.quick_pictures import draw_quickly
 from helpers.small_library import measured
 
 from manifold.colour.lights import environment
-from manifold.estimate import photographs, reports, sightings
+from manifold.estimate import photographs, sightings
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.io_rgl import write_bsdf
 from manifold.render.render import render_floating_ball
@@ -23,7 +23,6 @@ def small_pictures() -> Iterator[None]:
     test looks at their noise.
     """
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(reports, "_BALL", 64)
         patch.setattr(photographs, "_SIZE", 128)
         patch.setattr(photographs, "_SAMPLES", 8)
         patch.setattr(sightings, "SAMPLES", 128)

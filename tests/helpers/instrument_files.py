@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import colour_cxf
 import numpy as np
@@ -170,6 +173,15 @@ def write_coarse_mini_diff(path: Path) -> None:
 
 def write_every_format(folder: Path, *, is_coarse: bool = False) -> dict[str, Path]:
     """A file of each format, by its name; that of a goniometer is long unless it `is_coarse`."""
+    _, paths = _every_format(is_coarse)
+    return {name: Path(shutil.copy(path, folder)) for name, path in paths.items()}
+
+
+@cache
+def _every_format(is_coarse: bool) -> tuple[TemporaryDirectory[str], dict[str, Path]]:
+    """A folder with these files, until the session ends."""
+    made = TemporaryDirectory()
+    folder = Path(made.name)
     spectro = ma_t12_readings(smooth(MA_T12_BANDS), "smooth")
     paths = {name: folder / f"smooth{suffix}" for name, suffix in SUFFIXES.items()}
     ma_t12.write(paths["ma-t12"], spectro)
@@ -195,7 +207,7 @@ def write_every_format(folder: Path, *, is_coarse: bool = False) -> dict[str, Pa
     mbsdf.write(paths["mbsdf"], dense(RGB, "incident-outgoing", mbsdf.axes()))
     merl.write(paths["merl"], dense(RGB, "half-difference", merl.axes()))
     utia.write(paths["utia"], dense(RGB, "incident-outgoing", utia.axes()))
-    return paths
+    return made, paths
 
 
 SUFFIXES = {

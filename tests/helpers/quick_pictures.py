@@ -6,12 +6,14 @@ import pytest
 from matplotlib.figure import Figure
 
 from manifold.colour import ball_colours
+from manifold.estimate import reports
 from manifold.pictures import figures
 from manifold.render import thumbnails
 
 
 def draw_quickly(patch: pytest.MonkeyPatch) -> None:
-    """Balls of few samples, and figures that are not laid out."""
+    """Balls of few pixels and samples, and figures that are not laid out."""
     patch.setattr(figures, "Figure", lambda layout, **given: Figure(**given))
+    patch.setattr(reports, "_BALL", 64)
     patch.setattr(thumbnails, "SAMPLES", 4)
     patch.setattr(ball_colours, "DRAWN", (6, 6))

@@ -15,8 +15,8 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell starts what 
 
 SLOW_LEFT = pytest.StashKey[int]()
 LONGEST = (
-    "lamps", "surface_files", "bsdf_plugin", "export_command", "sources", "photographs", "stability_catalogue",
-    "export_direct", "workflows", "chart", "report", "attributes", "surface", "cli", "convert", "budget",
+    "lamps", "convert", "surface_files", "bsdf_plugin", "export_command", "sources", "photographs",
+    "stability_catalogue", "export_direct", "workflows", "chart", "report", "attributes", "surface", "cli", "budget",
     "readme", "completion", "material", "store", "without_mitsuba", "principled", "explore_visitor", "render",
     "forward_model", "instruments", "derivatives", "model", "turned_samples", "reports", "tutorials", "gloss",
     "notebook", "core_alone", "microfacet", "readings", "explore_server", "compact", "simulator_formats",

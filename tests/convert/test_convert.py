@@ -259,7 +259,7 @@ def test_colours_of_coarse_bands_are_those_of_whole_spectra(form, tmp_path):
     fine, coarse = np.arange(400.0, 701.0, 1.0), np.arange(400.0, 701.0, 50.0)
     names = [name for name in diffuse_reflectance_names() if name.partition("/")[2].lower() == "red"]
     white = to_xyz(np.ones(fine.size), Bands(tuple(fine)))
-    for name in names:
+    for name in names if form == "csv" else names[:1]:  # an RGL file is one more step, whatever the colour
         half = half_a_goniometer(Lambert(diffuse_reflectance(name, coarse), Bands(tuple(coarse))))
         csv_table.write(tmp_path / "red.csv", half)
         if form == "bsdf":

@@ -10,6 +10,7 @@ import numpy as np
 from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.core.compiled import loops
+from manifold.core.defaults import TINY
 from manifold.core.directions import (
     from_spherical,
     gauss_legendre,
@@ -23,7 +24,6 @@ ASSESSED_INCIDENCES_DEG = (30.0, 45.0, 60.0)
 """Angles of incidence, in degrees, of the profiles in which dips are searched."""
 REACH_DEG = 20.0
 """Largest angle of a profile from the mirror direction, in degrees."""
-_DARK = 1e-9  # 1/sr
 
 
 def profile_pairs(
@@ -50,7 +50,7 @@ def valley_depth(f: Array) -> Array:
     """
     f = np.asarray(f, dtype=np.float64)
     depth = np.empty(f.shape[:-1])
-    loops.valley_depths(f.reshape(-1, f.shape[-1]), _DARK, depth.reshape(-1))
+    loops.valley_depths(f.reshape(-1, f.shape[-1]), TINY, depth.reshape(-1))
     return depth[()]
 
 

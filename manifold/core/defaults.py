@@ -26,6 +26,10 @@ CONVERTED_RESOLUTION = 64
 COMPACT_TOLERANCE, SHADER_TOLERANCE = 0.2, 0.3
 """Mean CIEDE2000 of the ball that a compact material, or a shader's table, may differ by."""
 
+DARKEST = 1e-3
+"""Smallest reflectance, or share of a largest value, in logarithms and quotients: darker ones look black."""
+RIDGE = 1e-6
+"""Share of noise that is added to covariances, so that they can be solved even if samples coincide."""
 TINY = 1e-9
 """Smallest divisor, far below any visible or measurable value."""
 ROUNDING = 1e-9

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from manifold.colour import panel
+from manifold.core.defaults import RIDGE
 from manifold.core.directions import angles_from_mirror, from_spherical
 from manifold.core.errors import UsageError
 from manifold.core.records import Array, Indices, Mask
@@ -90,7 +91,6 @@ _MINI_DIFF_LARGEST_DEG = 75
 _READING_NOISE = 0.02  # relative deviation of a reading's cube root under a hypothesis
 _COLOUR_NOISE = 0.05  # deviation of a band from the mean of all, as a share of the reading's cube root
 _MODEL_ERROR = 0.1  # standard deviation of the residual of all hypotheses, relative to cube roots
-_JITTER = 1e-6  # on the diagonal of covariances: candidates may coincide
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +219,7 @@ def _residual(where: Array, taken: Array, level: Array, mean_on_ball: Array) -> 
         between = covariance(where, taken)
         gain = np.linalg.solve(covariance(taken, taken) + NOISE * np.eye(len(taken)), between.T).T
         own, of_pixels = own - gain @ between.T, of_pixels - gain @ with_pixels(taken)
-    L = np.linalg.cholesky(own + _JITTER * np.eye(len(own)))
+    L = np.linalg.cholesky(own + RIDGE * np.eye(len(own)))
     on_ball = solve_triangular(L, of_pixels, lower=True)
     return Deviations(
         _MODEL_ERROR * L.T * level,

@@ -14,6 +14,8 @@ REPEATABILITY = 0.0025
 """Repeatability of a spectrophotometer, relative: 0.05 CIEDE2000."""
 GONIOMETER = 0.03
 """Repeatability of a goniometer."""
+MINI_DIFF_SEES_DEG = 75.0
+"""Largest outgoing angle of a Mini-Diff's sensor; beyond it, its files ramp to zero."""
 
 # Written files
 SURFACE_TARGETS = ("gltf", "openpbr", "usd", "blender")

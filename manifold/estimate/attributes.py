@@ -23,6 +23,7 @@ from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour import panel
 from manifold.colour.conversion import srgb_to_xyz, to_xyz, xyz_weights
 from manifold.colour.difference import (
+    VISIBLE,
     delta_e_2000,
     delta_e_2000_lab,
     is_beyond_reflectances,
@@ -50,7 +51,8 @@ LEAST_GLOSS = 0.01  # gloss units
 _GREY = 0.2
 COLOUR_GEOMETRY = from_spherical(np.pi / 4, 0.0), from_spherical(0.0, 0.0)
 """Directions to the light and to the viewer, each (3,), of the geometry 45/0, in which colours are measured."""
-GLOSS_TOLERANCE, COLOUR_TOLERANCE = 0.05, 1.0  # relative; CIEDE2000: beyond them something was not reached
+# Relative, and CIEDE2000: beyond them something was not reached.
+GLOSS_TOLERANCE, COLOUR_TOLERANCE = 0.05, VISIBLE
 _JUST_VISIBLE = np.log(1.2)  # difference of log gloss: a fifth more, about as visible as a CIEDE2000 of 1
 
 

@@ -22,7 +22,9 @@ from manifold.surface.lamp_pictures import SurfacePictures
 from manifold.surface.response import CODE_NOISE, SLOPE_STD
 
 _ROUNDS = 6  # of the fit, its noise, its prior and its outliers
-_OUTLIER = 4.0  # standard deviations, beyond which residuals count much less
+OUTLIER = 4.0
+"""Standard deviations, beyond which residuals count much less: 3 leaves out true relief, more keep glints."""
+
 # Slope of 79 degrees: points without light have steeper ones; and standard deviation of slopes in the first round.
 _STEEPEST = 5.0
 _UNKNOWNS = 3  # albedo and two slopes
@@ -208,7 +210,7 @@ def _std_of_slopes(points: _Points, prior_std: float) -> float:
 def _trust(off: Array, noise: Array) -> Array:
     """Return weights (P, J): small ones of residuals far beyond the noise and the point's other residuals."""
     own = _TO_STD * np.median(np.abs(off), axis=1, keepdims=True)
-    return np.asarray(1.0 / (1.0 + (off / (_OUTLIER * np.maximum(noise, own))) ** 2) ** 2)
+    return np.asarray(1.0 / (1.0 + (off / (OUTLIER * np.maximum(noise, own))) ** 2) ** 2)
 
 
 def _channel_weights(relative: Array, colour: Array, shading: Array) -> Array:

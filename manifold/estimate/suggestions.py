@@ -252,7 +252,7 @@ def all_directions() -> tuple[Array, Array]:
 def _mini_diff() -> tuple[Array, Array]:
     return _product(
         np.array(_MINI_DIFF_INCIDENCES_DEG),
-        np.arange(0, MINI_DIFF_SEES_DEG + 1, 5),
+        np.arange(0, int(MINI_DIFF_SEES_DEG) + 1, 5),
         np.arange(0, 181, 10),
     )
 

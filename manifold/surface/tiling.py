@@ -26,9 +26,7 @@ _MOST_EDGE = 0.125  # of a side, that may be cropped
 _EDGE_DIFFERENCE = 0.12  # of the median brightness of a row or column from the sample's: an aperture's shadow
 _DUST = 6.0  # robust standard deviations of smoothed colour
 _ALIKE = 4.0  # of spots that are compared with dust
-_DUST_PX = (
-    2.0  # standard deviation of that smoothing; what replaces dust is blended with twice as much around it
-)
+_DUST_PX = 2.0  # standard deviation of that smoothing; dust is replaced within twice as much around it
 _MOST_DUST_PX = 1024  # area; what is larger is a part of the sample
 _FEW = 3  # spots of a colour, fewer than which do not tell how frequent they are
 _SAME_DIRECTION, _SAME_STRENGTH = 0.9, 0.4  # of differences from the sample's colour: cosine, and ratio

@@ -26,6 +26,7 @@ _FEW = 4  # brighter pixels that sharpening and compression leave
 _OF_BYTES = 257  # of which 16-bit codes are multiples that were eight bits
 _CUT_OFF = 0.4  # largest share of a plateau's outline on the edge of the picture; of a background one half
 _NEAR = 0.2  # distance from a plateau in its radii, beyond what blur mixes: 0.12 takes small even discs for plateaus
+_BRIGHT = 0.75  # quantile of the values just beside a plateau, whose dark sides pull the median down
 # Least share of the fall from a plateau to its surroundings that is farther away; blurred even discs have none.
 _LEAST_FALL = 0.15
 
@@ -116,4 +117,4 @@ def _falls_off(values: Array, plateau: Mask, place: tuple[slice, slice], top: fl
     if not (len(beside) and len(beyond)):
         return False
     base = float(np.median(beyond))
-    return float(np.median(beside)) - base >= _LEAST_FALL * (top - base)
+    return float(np.quantile(beside, _BRIGHT)) - base >= _LEAST_FALL * (top - base)

@@ -35,7 +35,7 @@ from manifold.library.importing import find_files
 
 _ENOUGH_SAMPLES = 6  # samples for a colour correction; see docs/explanation/completion.md
 _ASK_FOR_PAIRS = "do both files of each pair read one sample?"
-_CAMERA_BANDS = 3
+_CAMERA_BANDS = 3  # of the instruments whose colours are corrected
 _MOST_READINGS = 2000  # most readings of a goniometer that are used
 _TWO_SAMPLES = (
     0.2  # error of a correction; in the corpus always less for one sample, and more for 4 in 5 pairs of two

@@ -22,7 +22,7 @@ _CONFIDENCE = 0.99  # confidence at which a second minimum counts as worse than 
 BOUND = 2e-3
 """Share of a range: values nearer to an end count as the end; a lobe of such a weight is none."""
 
-_CORRELATED = 0.9
+_CORRELATED = 0.9  # correlation of two undetermined parameters from which the other one is named
 _STEP = 0.1  # share of every range: how far a linear model is trusted
 
 

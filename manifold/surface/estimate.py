@@ -18,7 +18,7 @@ from manifold.surface.response import SLOPE_STD, THIRD_STD, Response, gain_of
 SPARKLE = 1.8
 """Smallest ratio of a glint's brightness to its surroundings."""
 
-_SURROUNDINGS_PX = 9
+_SURROUNDINGS_PX = 9  # side of the square whose median a glint exceeds, three times as wide as a glint
 _BRIGHTEST = 0.999  # quantile of points; brighter ones are glints and dust
 _MIDDLE_COSINE = np.cos(np.deg2rad(50.0))  # lamps farther from the normal make relief sparkle, too
 _ROUNDS = 3  # in which what no smooth relief explains is left out

@@ -25,10 +25,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from helpers.places import inside_hull
 
 from manifold.colour import panel
+from manifold.colour.difference import VISIBLE
 from manifold.evaluate.coherences import coherences
 from manifold.evaluate.report import tabulate_materials
 from manifold.library.store import Library
-from manifold.model.coherence import LEAST_APART, most_similar
+from manifold.model.coherence import most_similar
 from manifold.model.expected_error import coherence_of
 from manifold.model.manifold import Manifold
 from manifold.model.materials import MaterialTable
@@ -47,7 +48,7 @@ def on_the_way(model: Manifold, table: MaterialTable) -> dict[str, list[float]]:
     for i, similar in most_similar(balls.__getitem__, len(X), SIMILAR, range(len(X))):
         for j in similar.tolist():
             apart = lights.compare(balls[i], balls[j]).ball
-            if apart < LEAST_APART:
+            if apart < VISIBLE:
                 continue
             for name, t in WAYS.items():
                 between = table.ball(

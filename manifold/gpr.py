@@ -21,8 +21,9 @@ from manifold.core.records import Array, Indices, Mask
 from manifold.gp.kernels import Kernel, equal_rows, first_equal_row, squared_distances
 from manifold.gp.likelihood import centre_gram
 
-_FIRST_JITTER = 1e-12
-_LAST_JITTER = 1e-2
+# Added to the diagonal of a covariance that is not positive definite, ten times more each time: rounding, and noise
+# beyond which a fit is refused.
+_FIRST_JITTER, _LAST_JITTER = 1e-12, 1e-2
 _COINCIDE = 1e-6  # latents closer than this many length scales are named as coinciding
 
 

@@ -1,11 +1,12 @@
 """Measure how far figures move if a constant of the code has another value.
 
     python tools/constants.py [NAME ...] [--json FILE]      # NAME: a module or a constant, `model.walks`, `_SHARE`
+    python tools/constants.py --census                      # numbers of constants by folder and class
 
-Each number that a module of `manifold/estimate`, `model`, `surface` or `fit` names at its top is multiplied and divided
-by 1.5: all numbers of a tuple or array together, the distance from 1 of a share between one half and 1, and whole
-numbers are rounded away from the old value. The figures of `constants_figures.py` whose code reads the constant are
-measured again, in a copy of this process, so that everything that the constant does not change is prepared once.
+Each number that a module of `SUBJECTS` names at its top is multiplied and divided by 1.5: all numbers of a tuple or
+array together, the distance from 1 of a share between one half and 1, and whole numbers are rounded away from the old
+value. The figures of `constants_figures.py` whose code reads the constant are measured again, in a copy of this
+process, so that everything that the constant does not change is prepared once.
 
 Prints one row per constant: the largest change of the numbers of each figure that reads it, in per cent, and that of
 their geometric mean at both values. `fails` means that the program refuses one of the values. The end of the table
@@ -17,11 +18,13 @@ from __future__ import annotations
 
 import argparse
 import ast
+import collections
 import importlib
 import json
 import os
 import pickle
 import pkgutil
+import re
 import signal
 import sys
 import threading
@@ -38,12 +41,24 @@ for variable in ("OPENBLAS_NUM_THREADS", "MANIFOLD_NUM_THREADS"):
 import numpy as np  # noqa: E402
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-SUBJECTS = ("estimate", "model", "surface", "fit")
+SUBJECTS = (
+    "estimate", "model", "surface", "fit",
+    "colour.saturation", "formats.doubts", "formats.light_side", "formats.values",
+)  # fmt: skip
 FACTORS = (1.5, 1.0 / 1.5)
 EXEMPT = (
     "BLOCK", "BLOCK_ROWS", "AT_ONCE", "MOST_KEPT", "VERSION", "BYTES", "DIGEST", "MOST_PIXELS", "MOST_TOGETHER",
     "MOST_SIZE", "MOST_MATERIALS", "MIN_PAIRS", "MAX_PAIRS",
 )  # fmt: skip
+# Names of limits of sizes, and of what is printed or drawn; and comments on facts of formats, instruments, physics.
+LIMIT = re.compile(
+    r"(^|_)(MOST|LARGEST|LONGEST|WIDEST|BLOCKS?|ROWS|BYTES|VERSION|SHOWN|SNIFFED|AT_ONCE|SIZE|WIDTH|HEIGHT|PIXELS|SAMPLES|"
+    r"NODES|AZIMUTHS|POINTS|INCHES|MARGIN|COLUMNS|LINES|TAGS?|TOGETHER|SEARCHED|NM|INCIDENCES_DEG|EVALUATIONS|ITERATIONS|"
+    r"MAX_ITER|ROUNDS|STEPS|MAGIC|DTYPES|CHANNELS|PRIMARIES|WHITE_\w+|OF_BYTES)(_|$)"
+)
+FACT = re.compile(
+    r"bytes|letters|characters|source:|ITU|ICC|CIE|ASTM|Mitsuba's|schema|tags|in a message|a picture of", re.I
+)
 SAME = 1e-6  # relative change of a figure that is put down to rounding
 SECONDS = 120  # after which a measurement counts as failed
 
@@ -78,7 +93,7 @@ def modules() -> list[str]:
     """Import the subjects' modules, and return the names of all modules of the package that are there."""
     for subject in SUBJECTS:
         package = importlib.import_module(f"manifold.{subject}")
-        for found in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+        for found in pkgutil.walk_packages(getattr(package, "__path__", ()), f"{package.__name__}."):
             importlib.import_module(found.name)
     return sorted(
         name
@@ -103,7 +118,7 @@ def constants() -> list[Constant]:
     """Return the constants of the subjects: names in capitals whose value is a number, or consists of numbers."""
     found = []
     for module in modules():
-        if module.split(".")[1:2] and module.split(".")[1] in SUBJECTS:
+        if f"{module}.".startswith(tuple(f"manifold.{subject}." for subject in SUBJECTS)):
             for statement in tree(module).body:
                 names, expression = assigned(statement) or ([], None)
                 written = expression is not None and any(
@@ -140,6 +155,57 @@ def changed(value: Any, factor: float) -> Any:
         parts = {key: changed(part, factor) for key, part in value.items()}
         return None if any(part is None for part in parts.values()) else parts
     return None
+
+
+def census() -> dict[str, collections.Counter[str]]:
+    """Return numbers of constants that hold numbers, by folder of the package and class.
+
+    Exempt are limits of sizes, numbers of samples and iterations, and facts; shared are names that other modules
+    import. The others decide, with a comment or docstring, or without.
+    """
+    root = REPOSITORY / "manifold"
+    code = {path: path.read_text(encoding="utf-8") for path in sorted(root.rglob("*.py"))}
+    imported = {
+        alias.name
+        for text in code.values()
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    counts: dict[str, collections.Counter[str]] = collections.defaultdict(collections.Counter)
+    for path, text in code.items():
+        body, lines = ast.parse(text).body, text.splitlines()
+        for k, statement in enumerate(body):
+            names, expression = assigned(statement) or ([], None)
+            if expression is None or not any(
+                isinstance(node, ast.Constant) and type(node.value) in (int, float)
+                for node in ast.walk(expression)
+            ):
+                continue
+            own = lines[statement.lineno - 1 : statement.end_lineno]
+            following = body[k + 1] if k + 1 < len(body) else None
+            said = " ".join(re.findall(r"#.*", "\n".join([*own, lines[statement.lineno - 2]])))
+            if isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant):
+                said += str(following.value.value)
+            for name in filter(str.isupper, names):
+                kind = (
+                    "exempt" if LIMIT.search(name) or FACT.search(said)
+                    else "shared" if name in imported
+                    else "with a sentence" if said
+                    else "without one"
+                )  # fmt: skip
+                counts[path.relative_to(root).parts[0]][kind] += 1
+    return dict(counts)
+
+
+def print_census() -> None:
+    """Print a table of the census."""
+    kinds = ("exempt", "shared", "with a sentence", "without one")
+    counts = census()
+    total = sum(counts.values(), collections.Counter[str]())
+    print(f"{'':14}", *(f"{kind:>16}" for kind in kinds))
+    for folder, of in [*sorted(counts.items()), ("all", total)]:
+        print(f"{folder:14}", *(f"{of[kind]:16}" for kind in kinds))
 
 
 class Patch:
@@ -443,7 +509,13 @@ def main() -> None:
         help="measure nothing further of a constant that moved a figure by this much: half the time",
     )  # fmt: skip
     parser.add_argument("--list", action="store_true", help="list the constants, and measure nothing")
+    parser.add_argument(
+        "--census", action="store_true", help="count constants by folder and class, and measure nothing"
+    )
     given = parser.parse_args()
+    if given.census:
+        print_census()
+        return
     found = chosen(constants(), given.names)
     if given.list:
         print(*(f"{one!s:45} {one.value}" for one in found), sep="\n")

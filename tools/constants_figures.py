@@ -12,9 +12,13 @@ from typing import Any
 
 import numpy as np
 from left_out import read_ma_t12
-from surface_twins import photographed, truth
+from scipy.ndimage import gaussian_filter
+from surface_twins import lamps_around, matte, photographed, truth
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.colour.conversion import decode_srgb, encode_srgb
+from manifold.colour.saturation import find_plateau
+from manifold.core.directions import from_spherical
 from manifold.core.errors import ManifoldError
 from manifold.core.metrics import Errors
 from manifold.core.records import Array
@@ -27,12 +31,13 @@ from manifold.estimate.expected import errors_of
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.lamp_plan import determined
 from manifold.estimate.lamps import Lamp, lamp_picture
-from manifold.estimate.light_probe import find_light
-from manifold.estimate.outlines import Photograph, outlines_in
+from manifold.estimate.light_probe import doubt_encoding, find_light, given_encoding_notes, given_lamp_notes
+from manifold.estimate.outlines import Circle, Photograph, outlines_in
 from manifold.estimate.pixels import Camera, blocks_of
 from manifold.estimate.sightings import Sighting
 from manifold.estimate.suggestions import all_directions, suggest
 from manifold.fit.principled import fit_bsdf
+from manifold.formats.doubts import with_doubts
 from manifold.formats.readings import Readings
 from manifold.library.store import Library
 from manifold.model.colours import ColourChoice
@@ -285,6 +290,119 @@ def planned(given: Mapping[str, tuple[LibraryAtoms, Channels]]) -> dict[str, flo
     return {"ball": determined(others, (30.0,), None).ball}
 
 
+# Encodings and saturation of pictures
+
+CODES: dict[str, Callable[[Array], Array]] = {"linear": lambda values: values, "sRGB": encode_srgb}
+
+
+def coded(name: str, direction: Array, codes: str, read: str) -> Photograph:
+    """Return an 8-bit photograph of a material, whose codes are linear or sRGB, and are read as either."""
+    made = lamp_picture(material(name), Camera(), [Lamp.towards(direction)], SIZE, MARGIN)
+    made = np.minimum(made / np.quantile(made, 0.995), 1.0)
+    stored = np.round(255.0 * CODES[codes](made)) / 255.0
+    values = decode_srgb(stored) if read == "sRGB" else stored
+    return Photograph(Path("made"), values.astype(np.float32), made >= 1.0, is_encoded=read == "sRGB")
+
+
+ENCODED = {codes: coded(SIX[3], LAMPS[0], codes, "sRGB") for codes in CODES}
+
+
+def encodings(_: None) -> dict[str, float]:
+    """Return which notes advise another encoding, for given and estimated lamps, and the uncertainty of the latter.
+
+    Given lamps are 4 and 30 degrees off; the second is doubted.
+    """
+    circle = Circle(0.5 * SIZE, 0.5 * SIZE, 0.5 * SIZE / (1.0 + MARGIN))
+    near, far = (Lamp.towards(nearer_to_camera(LAMPS[0], off)) for off in (4.0, 30.0))
+    found = {
+        f"{codes} read as sRGB, given": float(
+            len(given_encoding_notes([picture], [circle], [near], are_given=True))
+        )
+        for codes, picture in ENCODED.items()
+    }
+    found["doubted"] = float(len(given_lamp_notes(ENCODED["sRGB"], circle, far)))
+    probe, notes = doubt_encoding([ENCODED["linear"]], find_light([ENCODED["linear"]], circle))
+    return found | {"found": float(len(notes)), "uncertainty": probe.lamp_deg[0]}
+
+
+def nearer_to_camera(direction: Array, degrees: float) -> Array:
+    """Return a direction turned towards the camera."""
+    across = np.hypot(*direction[:2])
+    angle = np.arctan2(across, direction[2]) - np.deg2rad(degrees)
+    return np.append(np.sin(angle) * direction[:2] / across, np.cos(angle))
+
+
+def saturated_channels() -> dict[str, tuple[Array, Array]]:
+    """Return channels as files store them, with the pixels that are saturated: none, few and many of them."""
+    made = {}
+    noise = 1.0 + 0.01 * np.random.default_rng(0).standard_normal((SIZE, SIZE))
+    for name in (*SIX[:2], "even"):
+        values = (
+            np.ones((SIZE, SIZE)) * np.hypot(*np.mgrid[-1 : 1 : SIZE * 1j, -1 : 1 : SIZE * 1j]) < 0.7
+            if name == "even"
+            else lamp_picture(material(name), Camera(), [Lamp.towards(LAMPS[1])], SIZE, MARGIN)[..., 1]
+        ).astype(float)
+        for share in (1.0,) if name == "even" else (1.0, 0.99, 0.9):
+            level = float(np.quantile(values, share))
+            clipped = np.minimum(values / level, 1.0)
+            for kind, channel in {
+                "14 bits": np.rint(16383 * clipped).astype(np.uint16),
+                "8 bits": np.rint(255.0 * encode_srgb(0.8 * clipped * noise)).astype(np.uint8),
+                "floats": (0.35 * gaussian_filter(clipped, 0.8) * noise).astype(np.float32),
+            }.items():
+                made[f"{name} {share:g} {kind}"] = channel, values > level
+    return made
+
+
+def plateaus(channels: Mapping[str, tuple[Array, Array]]) -> dict[str, float]:
+    """Return shares of saturated pixels that are missed, and numbers of others that are taken for saturated."""
+    found = {}
+    for name, (channel, is_saturated) in channels.items():
+        plateau = find_plateau(channel)
+        pixels = np.zeros(channel.shape, bool) if plateau is None else plateau.pixels
+        if is_saturated.any():
+            found[f"{name} missed"] = float(np.mean(~pixels[is_saturated]))
+        found[f"{name} too many"] = float(np.count_nonzero(pixels & ~is_saturated))
+    return found
+
+
+# Tables
+
+
+def tables() -> dict[str, Readings]:
+    """Return tables of the library's materials: correct ones, and with values and angles that are not what they say."""
+    angles = np.meshgrid(
+        np.deg2rad([20.0, 40.0, 60.0]),
+        np.deg2rad(np.arange(0.0, 80.0, 10.0)),
+        np.deg2rad(np.arange(0.0, 360.0, 30.0)),
+    )
+    theta_i, theta_o, phi = (each.ravel() for each in angles)
+    wi, wo = from_spherical(theta_i, np.pi), from_spherical(theta_o, phi)
+    turned = from_spherical(theta_o, phi + np.pi)
+    small = from_spherical(np.deg2rad(theta_i), np.pi), from_spherical(np.deg2rad(theta_o), phi)
+    made = {}
+    for name in SIX:
+        f = material(name).eval(wi, wo)
+        noise = 0.02 * np.median(f) * np.random.default_rng(1).standard_normal(f.shape)
+        for kind, (a, b, values) in {
+            "correct": (wi, wo, f),
+            "noisy": (wi, wo, f + noise),
+            "less a baseline": (wi, wo, f - np.median(f)),
+            "logarithms": (wi, wo, -np.log10(np.maximum(f, 1e-6))),
+            "factors": (wi, wo, np.pi * f),
+            "percent": (wi, wo, 100.0 * np.pi * f),
+            "radians as degrees": (*small, f),
+            "turned azimuths": (wi, turned, f),
+        }.items():
+            made[f"{name} {kind}"] = Readings(name, "made", a, b, None, values)
+    return made
+
+
+def doubts(readings: Mapping[str, Readings]) -> dict[str, float]:
+    """Return numbers of notes on each table."""
+    return {name: float(len(with_doubts(one).notes)) for name, one in readings.items()}
+
+
 # Fits and surfaces
 
 
@@ -324,6 +442,27 @@ def surfaces(_: None) -> dict[str, float]:
     }  # fmt: skip
 
 
+def matte_surfaces(_: None) -> dict[str, float]:
+    """Return errors of slopes and albedos of matte reliefs under three, four and nine lamps, with noise and glints."""
+    found = {}
+    for count, noise in ((3, 0.02), (4, 0.02), (9, 0.0), (9, 0.05)):
+        rng = np.random.default_rng(0)
+        _, slope = truth(rng, (100, 100))
+        pictures = matte(rng, slope, lamps_around(count, 40.0), noise=noise)
+        values = pictures.values.copy()
+        if count > 4:
+            rows, columns = rng.integers(0, 100, (2, 100))
+            values[1, rows, columns] *= 4.0  # glints under one lamp
+            values[2, :8, :8] *= 0.1  # a shadow
+        surface = estimate_surface(replace(pictures, values=values))
+        found |= {
+            f"{count} lamps, noise {noise:g}, slope": _off(surface.slope, slope),
+            f"{count} lamps, noise {noise:g}, stated": float(surface.slope_std.mean()),
+            f"{count} lamps, noise {noise:g}, albedo": float(np.log(surface.albedo).std()),
+        }
+    return found
+
+
 def _off(found: Array, true: Array) -> float:
     return float(np.sqrt(np.mean((found - true) ** 2)) / np.std(true))
 
@@ -356,8 +495,12 @@ def all_figures() -> list[tuple[str, str, Callable[[], Any], Callable[[Any], dic
         ),
         ("published", "model", nothing, published_map),
         ("light", "estimate.light_probe estimate.outlines estimate.lamps", nothing, photographs),
+        ("encodings", "estimate.light_probe", nothing, encodings),
+        ("plateaus", "colour.saturation", saturated_channels, plateaus),
+        ("doubts", "formats.doubts formats.light_side formats.values", tables, doubts),
         ("photographed", "estimate", atoms_of_values, photographed_materials),
         ("planned", "estimate.lamp_plan", atoms_of_values, planned),
         ("fits", "fit", nothing, fits),
         ("surfaces", "surface", nothing, surfaces),
+        ("matte", "surface.lambertian surface.estimate", nothing, matte_surfaces),
     ]

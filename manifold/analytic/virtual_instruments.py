@@ -17,6 +17,7 @@ import numpy as np
 from manifold.analytic.corpus import Material, isotropic_materials, write_files
 from manifold.brdf.interface import BRDF
 from manifold.core import disk
+from manifold.core.defaults import MINI_DIFF_SEES_DEG
 from manifold.core.directions import from_spherical
 from manifold.core.records import Array, Bands
 from manifold.formats import ma_t12
@@ -26,7 +27,6 @@ from manifold.registries import INSTRUMENTS
 MA_T12_BANDS = Bands(tuple(float(nm) for nm in range(400, 701, 10)))
 MINI_DIFF_BANDS = Bands((465.0, 525.0, 630.0))
 MINI_DIFF_INCIDENCES_DEG = (0.0, 20.0, 40.0, 60.0)
-_SEES_DEG = 75.0  # range of a Mini-Diff's sensor
 _FLAKY = ("metallic", "flake", "iridescent")
 
 
@@ -58,7 +58,7 @@ def mini_diff_table(brdf: BRDF, rng: np.random.Generator | None) -> tuple[Array,
     angles, values = [], []
     for incidence in np.deg2rad(MINI_DIFF_INCIDENCES_DEG):
         wi = from_spherical(incidence, np.pi)
-        edge = np.deg2rad(_SEES_DEG)
+        edge = np.deg2rad(MINI_DIFF_SEES_DEG)
         f = np.asarray(brdf.eval(wi, from_spherical(np.minimum(theta_s, edge), phi_s)), dtype=float)
         if rng is not None:
             f = f * (1.0 + 0.01 * rng.standard_normal(f.shape)) + 2e-4 * rng.standard_normal(f.shape)

@@ -26,7 +26,9 @@ from manifold.core.records import Array, BsdfFile, Indices, Mask, evenly_spaced
 _STEEPEST_DEG = 75.0  # nearer to the horizon, files hold little that was measured
 _MOST_ALBEDO = 1.2  # 1, and room for calibration and fluorescence (1.02)
 _MOST_ALBEDO_GRAZING = 1.5  # ... and for extrapolation (1.00)
-_MOST_NEGATIVE = 0.005  # share of the values of a spectral band (0)
+MOST_NEGATIVE = 0.005
+"""Largest share of negative values of a band or a prediction: 0 in measured files; one in a hundred is seen."""
+
 _MOST_DEPARTURE = 10.0  # of a value from the range of its neighbours, in widths of that range (6.6)
 _MOST_STEP = 1.5  # factor between an albedo and both albedos beside it (1.08)
 _MOST_NON_RECIPROCAL = 2.0  # factor, median over the pairs of an incidence (1.19)
@@ -391,9 +393,9 @@ def _of_bands(file: BsdfFile, albedo: Array, negative_share: Array) -> list[str]
     """Return sentences on bands of a spectral file that are negative, or unlike the bands on both sides."""
     labels, sentences = file.bands.labels, []
     negative = negative_share.max(axis=(0, 1))
-    if np.any(negative > _MOST_NEGATIVE):
+    if np.any(negative > MOST_NEGATIVE):
         named = [
-            f"{percent(share)} at {labels[b]}" for b, share in enumerate(negative) if share > _MOST_NEGATIVE
+            f"{percent(share)} at {labels[b]}" for b, share in enumerate(negative) if share > MOST_NEGATIVE
         ]
         sentences.append(f"negative values: {first_few(named, 3)}")
     nm = np.asarray(file.bands.wavelengths_nm)

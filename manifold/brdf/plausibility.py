@@ -10,6 +10,7 @@ import numpy as np
 from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.core.compiled import loops
+from manifold.core.defaults import TINY
 from manifold.core.directions import (
     from_spherical,
     gauss_legendre,
@@ -23,7 +24,6 @@ ASSESSED_INCIDENCES_DEG = (30.0, 45.0, 60.0)
 """Angles of incidence, in degrees, of the profiles in which dips are searched."""
 REACH_DEG = 20.0
 """Largest angle of a profile from the mirror direction, in degrees."""
-_DARK = 1e-9  # 1/sr
 
 
 def profile_pairs(
@@ -50,7 +50,7 @@ def valley_depth(f: Array) -> Array:
     """
     f = np.asarray(f, dtype=np.float64)
     depth = np.empty(f.shape[:-1])
-    loops.valley_depths(f.reshape(-1, f.shape[-1]), _DARK, depth.reshape(-1))
+    loops.valley_depths(f.reshape(-1, f.shape[-1]), TINY, depth.reshape(-1))
     return depth[()]
 
 
@@ -59,7 +59,7 @@ Evaluate = Callable[[Array, Array], Array]
 
 _INCIDENCES_DEG = (5.0, 20.0, 35.0, 50.0, 65.0, 80.0)  # incidences for negative values and reciprocity
 _MIRROR_INCIDENCES_DEG = tuple(range(15, 76, 5))
-_ALBEDO_INCIDENCES_DEG = (0.0, 30.0, 60.0, 75.0)
+ALBEDO_INCIDENCES_DEG = (0.0, 30.0, 60.0, 75.0)
 FILE_INCIDENCES_DEG = tuple(range(0, 86, 5))
 """Angles of incidence, in degrees, at which the albedo of a file is measured."""
 
@@ -107,12 +107,12 @@ def plausibilities(evaluate: Evaluate, is_isotropic: bool = True) -> list[Plausi
     wo, _ = hemisphere_quadrature(12, 16)
     wide = [(wi, wo, np.ones(len(wo))) for wi in incident_directions(_INCIDENCES_DEG, is_isotropic)]
     narrow = [
-        (wi, *mirrored_quadrature(wi)) for wi in incident_directions(_ALBEDO_INCIDENCES_DEG, is_isotropic)
+        (wi, *mirrored_quadrature(wi)) for wi in incident_directions(ALBEDO_INCIDENCES_DEG, is_isotropic)
     ]
     wide_negative, wide_error, _ = _over_incidences(evaluate, wide)
     negative, error, albedo = _over_incidences(evaluate, narrow)
     valley = _highlight_valley(evaluate, is_isotropic)
-    at = np.repeat(_ALBEDO_INCIDENCES_DEG, len(narrow) // len(_ALBEDO_INCIDENCES_DEG))[albedo.argmax(axis=0)]
+    at = np.repeat(ALBEDO_INCIDENCES_DEG, len(narrow) // len(ALBEDO_INCIDENCES_DEG))[albedo.argmax(axis=0)]
     rows = zip(
         np.maximum(wide_negative, negative), np.maximum(wide_error, error), albedo.max(axis=0), valley, at,
         strict=True,

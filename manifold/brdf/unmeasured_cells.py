@@ -76,6 +76,7 @@ LEAST_COSINE = float(np.sin(np.deg2rad(2.0)))
 STEEPEST = float(np.deg2rad(85.0))
 """Angle of incidence in radians beyond which files extrapolate."""
 
+# Weights of measured neighbours in the mean that fills a cell: those beside it count twice as much as diagonal ones.
 _NEIGHBOURS = np.array([[1.0, 2.0, 1.0], [2.0, 0.0, 2.0], [1.0, 2.0, 1.0]])
 
 

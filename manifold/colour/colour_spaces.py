@@ -32,9 +32,9 @@ _CICP_PRIMARIES = {1: "rec709", 9: "rec2020", 11: "p3dci", 12: "p3d65"}  # ITU-T
 _ADOBE_GAMMA = 563 / 256  # of Adobe RGB (1998)
 _PNG_SRGB = 45455  # gAMA of pictures in sRGB
 _WHITE_PCS = (0.9642, 1.0, 0.8249)  # D50, the white of ICC profiles
-_SAME = 2e-3  # rounding of chromaticities, and of the numbers of profiles, in files of one space
-_SAME_CURVE = 3e-3  # rounding of sampled curves; a gamma of 2.2 is 9e-3 from sRGB's curve
-_LEAST_AREA = 1e-3  # twice the area of the triangle of primaries; 0.22 for sRGB
+# Rounding of chromaticities, numbers of profiles and sampled curves in files of one space. A gamma of 2.2 is 9e-3 from
+# sRGB's curve, and the triangle of its primaries has an area of 0.11.
+_SAME = 3e-3
 _MOST_TAGS = 100  # of a profile; those of cameras and displays have some 20
 
 
@@ -73,7 +73,7 @@ def of_primaries(primaries: Sequence[float], curves: tuple[Curve, ...] | None) -
         return ColourSpace("sRGB", curves)
     x, y = np.asarray(_PRIMARIES[known[0]] if known else primaries, dtype=np.float64).reshape(4, 2).T
     xyz = np.column_stack([x, y, 1.0 - x - y])
-    if not (np.isfinite(xyz).all() and abs(np.linalg.det(xyz[:3])) > _LEAST_AREA and y[3] > 0.0):
+    if not (np.isfinite(xyz).all() and abs(np.linalg.det(xyz[:3])) > _SAME and y[3] > 0.0):
         return None
     xyz[3] /= y[3]
     scale = np.linalg.solve(xyz[:3].T, xyz[3])
@@ -151,9 +151,9 @@ def of_profile(profile: bytes, name: str) -> ColourSpace | None:
         linear = np.array([curve(codes) for curve in curves])
     if not np.isfinite(linear).all():
         return None
-    if np.abs(linear - codes).max() < _SAME_CURVE:
+    if np.abs(linear - codes).max() < _SAME:
         curves = ()
-    elif np.abs(linear - decode_srgb(codes)).max() < _SAME_CURVE:
+    elif np.abs(linear - decode_srgb(codes)).max() < _SAME:
         curves = (decode_srgb,)
     if to_srgb is not None and np.abs(to_srgb - np.eye(3)).max() < _SAME:
         to_srgb = None

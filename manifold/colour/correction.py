@@ -20,11 +20,11 @@ from manifold.colour.conversion import interpolation_matrix, to_srgb, to_xyz, xy
 from manifold.colour.difference import delta_e_2000_lab, to_lab
 from manifold.colour.narrow_bands import SPECTRUM, estimate_spectra, is_narrow
 from manifold.core import disk
+from manifold.core.defaults import DARKEST
 from manifold.core.disk import read_json
 from manifold.core.errors import FileFormatError, UsageError
 from manifold.core.records import Array, Bands, Indices, Mask, plain
 
-_DARK = 1e-3  # share of the largest value: errors of darker ones are relative to this
 _FORMAT = "manifold colour correction"
 _LEAST_KEPT = 1e-8  # of what a left-out sample says, the share that the others must determine
 _MOST_WORSE = 0.25  # share of samples that a correction may make worse
@@ -117,7 +117,7 @@ def learn_correction(
         )
     scale = float(x.max())
     unit, wanted = x / scale, y / scale
-    weight = 1.0 / (np.linalg.norm(wanted, axis=1) + _DARK)[:, None]
+    weight = 1.0 / (np.linalg.norm(wanted, axis=1) + DARKEST)[:, None]
     groups = np.arange(len(x), dtype=np.intp) if groups is None else groups
     most_left_out = int(np.unique(groups, return_counts=True)[1].max())
     estimated, seen_bands = _estimated(unit, source), source if source.is_rgb else SPECTRUM

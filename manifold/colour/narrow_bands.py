@@ -18,7 +18,7 @@ import numpy as np
 
 from manifold.colour.colour_science import colour_science
 from manifold.colour.conversion import interpolation_matrix, to_xyz, xyz_to_srgb, xyz_weights
-from manifold.colour.difference import delta_e_2000, delta_e_2000_lab, lab_under_d65, lab_values
+from manifold.colour.difference import VISIBLE, delta_e_2000, delta_e_2000_lab, lab_under_d65, lab_values
 from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
 from manifold.core.errors import UsageError
 from manifold.core.names import counted
@@ -29,7 +29,6 @@ SPECTRUM = Bands(tuple(np.arange(400.0, 701.0, 10.0).tolist()))
 """The bands of estimated spectra."""
 _RANGES_NM = ((400.0, 500.0), (480.0, 580.0), (580.0, 700.0))
 _RANGE_NM = (380.0, 730.0)  # of bands that tell of spectra from 400 to 700 nm
-_VISIBLE_ERROR = 1.0  # CIEDE2000, which an observer just notices
 # Gap, first and last band in nm up to which interpolation stays below that: 0.9 for one colour in ten.
 _DENSE_NM, _FIRST_NM, _LAST_NM = 25.0, 420.0, 680.0
 _NOISE = 0.02  # standard deviation of the noise of cube roots, relative to their mean
@@ -51,7 +50,7 @@ def is_coarse(bands: Bands) -> bool:
     if len(nm) <= len(_RANGES_NM):
         return False
     is_dense = np.diff(nm).max() <= _DENSE_NM and nm[0] <= _FIRST_NM and nm[-1] >= _LAST_NM
-    return not is_dense and interpolation_errors(bands)[1] > _VISIBLE_ERROR
+    return not is_dense and interpolation_errors(bands)[1] > VISIBLE
 
 
 def _visible(bands: Bands) -> Mask:

@@ -31,6 +31,12 @@ FITTED = (
 SUN_DEG = 45.0
 """Angle between the view and the sun under which highlights are looked at."""
 
+FITTED_SUN_PIXELS = 16
+"""Pixels across the balls under suns that fits and maps compare."""
+
+STRIDE = 4
+"""One in so many pixels of balls is enough to tell materials apart, and for plausible errors."""
+
 _SUN_PIXELS = 32  # across the ball
 
 

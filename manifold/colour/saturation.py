@@ -15,20 +15,20 @@ from scipy.ndimage import binary_dilation, distance_transform_edt, find_objects,
 
 from manifold.core.records import Array, Mask
 
-_SEARCHED = 800  # pixels of the longer side in which plateaus are sought, at least, where pictures have more
-_WIDTHS = (0.01, 0.02, 0.04, 0.08)  # of plateaus, relative to their level
+SEARCHED = 800
+"""Longer side in pixels, at least, of reduced pictures in which plateaus, outlines and lamps are sought."""
+
+_WIDTHS = (0.01, 0.02, 0.04, 0.08)  # of plateaus, relative to their level: noise and compression widen them
+_WIDER = 1.1  # least ratio of pixels for which a plateau is taken to be wider; more misses noisy pixels
 _MANY = 6.0  # least ratio of pixels on a plateau to those slightly below; 2.4 at the ridge of a cylinder
 _FEWEST = 16  # pixels of a plateau
 _FEW = 4  # brighter pixels that sharpening and compression leave
 _OF_BYTES = 257  # of which 16-bit codes are multiples that were eight bits
-_EXACT = 0.9  # share of a plateau's pixels that have the very same value
-_WIDER = 1.1  # least ratio of pixels for which a plateau is taken to be wider
-# Distances from a plateau, in pixels and relative to its radius: just beyond what interpolation of colours mixes, by
-# the third on plateaus of a few pixels; and where its surroundings begin.
-_LEAST_NEAR, _NEAR, _NEAR_SMALL, _FAR = 2.0, 0.12, 0.2, 0.5
 _CUT_OFF = 0.4  # largest share of a plateau's outline on the edge of the picture; of a background one half
-_BRIGHT = 0.75  # quantile of the values just beside a plateau, which noise and dark sides pull down
-_LEAST_FALL = 0.15  # share of the fall from a plateau to its surroundings that is farther away than its edge
+_NEAR = 0.2  # distance from a plateau in its radii, beyond what blur mixes: 0.12 takes small even discs for plateaus
+_BRIGHT = 0.75  # quantile of the values just beside a plateau, whose dark sides pull the median down
+# Least share of the fall from a plateau to its surroundings that is farther away; blurred even discs have none.
+_LEAST_FALL = 0.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ def find_plateau(channel: Array) -> Plateau | None:
     step = 1.0 if channel.dtype.kind == "u" else 0.0
     is_fine = channel.dtype == np.uint16
     values = np.where(np.isfinite(channel), channel, 0).astype(np.float32)
-    factor = max(1, max(values.shape) // _SEARCHED)
+    factor = max(1, max(values.shape) // SEARCHED)
     h, w = (n // factor * factor for n in values.shape)
     small = values[:h, :w].reshape(h // factor, factor, w // factor, factor).mean(axis=(1, 3))
     smooth = median_filter(small, 3)
@@ -73,7 +73,7 @@ def find_plateau(channel: Array) -> Plateau | None:
 def _plateaus(values: Array, top: float, width: float, is_fine: bool) -> Mask:
     """Return the pixels of plateaus within a width of the largest value.
 
-    In codes of more than eight bits, no light is so even that pixels have the very same value.
+    In codes of more than eight bits, no light is so even that most pixels have the very same value.
     """
     on, near = values > top - width, values > top - 3.0 * width
     labels, count = label(near)
@@ -87,7 +87,7 @@ def _plateaus(values: Array, top: float, width: float, is_fine: bool) -> Mask:
         part = labels == k  # without the holes that noise makes
         if _is_background(part):
             continue
-        is_exact = is_fine and np.count_nonzero(values[part] == top) > _EXACT * flat[k]
+        is_exact = is_fine and np.median(values[part]) == top
         if is_exact or _falls_off(values, part, places[k - 1], top):
             found |= on & part
     return found
@@ -104,8 +104,8 @@ def _is_background(part: Mask) -> bool:
 def _falls_off(values: Array, plateau: Mask, place: tuple[slice, slice], top: float) -> bool:
     """Return whether values fall off around a plateau, rather than at its edge."""
     radius = float(distance_transform_edt(np.pad(plateau[place], 1)).max())
-    near = min(max(_NEAR_SMALL * radius, 1.0), max(_LEAST_NEAR, _NEAR * radius))
-    far = max(_LEAST_NEAR + 1.0, _FAR * radius)
+    near = max(_NEAR * radius, 1.0)
+    far = 3.0 * near
     margin = int(far) + 2
     rows, columns = (
         slice(max(part.start - margin, 0), min(part.stop + margin, n))

@@ -24,6 +24,7 @@ from manifold.convert.source import (
 )
 from manifold.convert.targets import Options, target_of
 from manifold.core import disk
+from manifold.core.defaults import DARKEST
 from manifold.core.directions import NEAR_MIRROR_DEG, is_near_mirror
 from manifold.core.errors import UsageError
 from manifold.core.metrics import Errors
@@ -42,7 +43,6 @@ from manifold.pictures import html_page
 from manifold.registries import CONVERTED
 
 _SAME_PAIR = 1e-6  # largest difference between unit vectors that were written with nine digits
-_DARK = 1e-3  # share of the brightest value, with which darker ones are compared
 _LARGE_ERROR = 0.05  # of cube roots; above, its reasons are noted
 _SHOWN_SHARE = 0.2  # of the squared error
 _FEW = 20  # readings per incidence, of spectrophotometers rather than of goniometers
@@ -169,7 +169,7 @@ def convert(
         notes += _gaps(source)
     compared, f_star = _compared(source, back)
     f = compared.values
-    floor = _DARK * float(np.max(np.abs(f), initial=1e-300))
+    floor = DARKEST * float(np.max(np.abs(f), initial=1e-300))
     median, high = np.percentile(np.abs(f_star - f) / np.maximum(np.abs(f), floor), [50, 95]).tolist()
     errors = Errors.of_values(f, f_star, cosine_weight(compared.wi, compared.wo))
     if errors.cube_root > _LARGE_ERROR:

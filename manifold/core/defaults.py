@@ -14,6 +14,8 @@ REPEATABILITY = 0.0025
 """Repeatability of a spectrophotometer, relative: 0.05 CIEDE2000."""
 GONIOMETER = 0.03
 """Repeatability of a goniometer."""
+MINI_DIFF_SEES_DEG = 75.0
+"""Largest outgoing angle of a Mini-Diff's sensor; beyond it, its files ramp to zero."""
 
 # Written files
 SURFACE_TARGETS = ("gltf", "openpbr", "usd", "blender")
@@ -26,6 +28,10 @@ CONVERTED_RESOLUTION = 64
 COMPACT_TOLERANCE, SHADER_TOLERANCE = 0.2, 0.3
 """Mean CIEDE2000 of the ball that a compact material, or a shader's table, may differ by."""
 
+DARKEST = 1e-3
+"""Smallest reflectance, or share of a largest value, in logarithms and quotients: darker ones look black."""
+RIDGE = 1e-6
+"""Share of noise that is added to covariances, so that they can be solved even if samples coincide."""
 TINY = 1e-9
 """Smallest divisor, far below any visible or measurable value."""
 ROUNDING = 1e-9

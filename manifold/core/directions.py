@@ -12,6 +12,9 @@ from manifold.core.records import Array, Mask
 NEAR_MIRROR_DEG = 10.0
 """Angle around a mirror direction within which errors count as those of the highlight."""
 
+SAME_RAD = 1e-3
+"""Largest difference of directions, in radians, at which readings are of one place."""
+
 HORIZON = np.deg2rad(89.9)
 """Elevation in radians at which limits at the horizon are evaluated."""
 

@@ -23,6 +23,7 @@ from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour import panel
 from manifold.colour.conversion import srgb_to_xyz, to_xyz, xyz_weights
 from manifold.colour.difference import (
+    VISIBLE,
     delta_e_2000,
     delta_e_2000_lab,
     is_beyond_reflectances,
@@ -31,6 +32,7 @@ from manifold.colour.difference import (
 from manifold.colour.narrow_bands import with_spectra
 from manifold.colour.reflectances import srgb_spectra
 from manifold.core import progress
+from manifold.core.defaults import DARKEST
 from manifold.core.directions import from_spherical, rotate_z
 from manifold.core.errors import UsageError
 from manifold.core.judged_lights import LIGHTS
@@ -47,10 +49,10 @@ from manifold.model.places import Place, PlaceLike
 
 LEAST_GLOSS = 0.01  # gloss units
 _GREY = 0.2
-_LEAST_REFLECTANCE = 1e-3  # so that black can be tinted
 COLOUR_GEOMETRY = from_spherical(np.pi / 4, 0.0), from_spherical(0.0, 0.0)
 """Directions to the light and to the viewer, each (3,), of the geometry 45/0, in which colours are measured."""
-GLOSS_TOLERANCE, COLOUR_TOLERANCE = 0.05, 1.0  # relative; CIEDE2000: beyond them something was not reached
+# Relative, and CIEDE2000: beyond them something was not reached.
+GLOSS_TOLERANCE, COLOUR_TOLERANCE = 0.05, VISIBLE
 _JUST_VISIBLE = np.log(1.2)  # difference of log gloss: a fifth more, about as visible as a CIEDE2000 of 1
 
 
@@ -384,7 +386,7 @@ def factor_of_colour(lab: Array, bands: Bands) -> Array:
 def tinted(factor: Array, lab: Array, bands: Bands) -> Array:
     """Return a reflectance factor (B,) changed to a CIELAB colour (3,), by smooth factors as near to 1 as possible."""
     primaries = np.eye(3) if bands.is_rgb else srgb_spectra(bands)
-    base = np.maximum(factor, _LEAST_REFLECTANCE)
+    base = np.maximum(factor, DARKEST)
 
     def gained(a: Array) -> Array:
         return base * np.exp(a @ primaries)

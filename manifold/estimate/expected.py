@@ -33,7 +33,6 @@ CALIBRATION_VERSION = 3
 _KINDS = ("ball", "scaled_ball", "cube_root", "linear", "near_mirror", "elsewhere")  # some may be unknown
 _LEFT_OUT = 16  # materials by which errors of estimates from pictures are calibrated
 _MARGIN = 1.05  # residuals closer to the largest are equal to it for a user, and by rounding
-_PIXEL_STRIDE = 4  # one in this many pixels is enough for plausible errors
 _PLAUSIBLE, _RESIDUALS = "plausible_", "residuals"  # names of arrays in a library's cache
 _WORLD = 20  # left-out materials of a library that count as much as `_OF_WORLD`
 _OF_WORLD = {
@@ -229,7 +228,7 @@ def _lightness(lights: Panel, differences: Array) -> Array:
 @lru_cache(maxsize=4)
 def _some_pixels(lights: Panel) -> tuple[Panel, Indices, Indices]:
     """Return some pixels of lights, their indices, and those of the direction pairs that light them."""
-    some, pixels = lights.every(_PIXEL_STRIDE)
+    some, pixels = lights.every(panel.STRIDE)
     return some, pixels, np.unique(lights.sums[pixels].indices)
 
 

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from manifold.core import disk, progress, shipped
+from manifold.core.directions import SAME_RAD
 from manifold.core.disk import matching
 from manifold.core.errors import FileFormatError, ManifoldError, UsageError
 from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource, PlaceSource
@@ -30,8 +31,6 @@ from manifold.library.importing import find_files
 from manifold.library.store import Library
 from manifold.model.colours import ColourChoice
 from manifold.registries import FIT_SUFFIX
-
-_SAME_INCIDENCE = 1e-3  # largest difference between unit vectors
 
 
 @dataclass(frozen=True)
@@ -110,11 +109,7 @@ class _Part(NamedTuple):
 
 def _only_incidence_deg(record: registry.Record) -> float | None:
     """Return the incidence of readings that have one, in degrees; None for others."""
-    if (
-        not isinstance(record, Readings)
-        or len(record) == 1
-        or np.ptp(record.wi, axis=0).max() > _SAME_INCIDENCE
-    ):
+    if not isinstance(record, Readings) or len(record) == 1 or np.ptp(record.wi, axis=0).max() > SAME_RAD:
         return None
     return round(float(np.rad2deg(np.arccos(min(record.wi[0, 2], 1.0)))), 1)
 

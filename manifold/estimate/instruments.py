@@ -21,7 +21,7 @@ from manifold.colour.correction import ColourCorrection, learn_correction, read_
 from manifold.colour.difference import delta_e_2000_lab, lab_values
 from manifold.colour.narrow_bands import in_daylight
 from manifold.core import disk, progress
-from manifold.core.directions import to_rusinkiewicz
+from manifold.core.directions import SAME_RAD, to_rusinkiewicz
 from manifold.core.errors import BandMismatchError, UsageError
 from manifold.core.names import counted, first_few
 from manifold.core.records import Array
@@ -35,8 +35,7 @@ from manifold.library.importing import find_files
 
 _ENOUGH_SAMPLES = 6  # samples for a colour correction; see docs/explanation/completion.md
 _ASK_FOR_PAIRS = "do both files of each pair read one sample?"
-_CAMERA_BANDS = 3
-_SAME_PLACE = 1e-3  # largest distance between pairs of directions, in half and difference angles, in radians
+_CAMERA_BANDS = 3  # of the instruments whose colours are corrected
 _MOST_READINGS = 2000  # most readings of a goniometer that are used
 _TWO_SAMPLES = (
     0.2  # error of a correction; in the corpus always less for one sample, and more for 4 in 5 pairs of two
@@ -206,7 +205,7 @@ def between_measurements(parts: Sequence[Readings]) -> Between | None:
     values = np.vstack([part.values for part in parts])
     within = np.concatenate([np.full(len(part), part.repeatability) for part in parts])
     file = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-    near = cKDTree(at).query_ball_point(at, _SAME_PLACE, return_sorted=True)
+    near = cKDTree(at).query_ball_point(at, SAME_RAD, return_sorted=True)
     groups = [np.array(g) for g in dict.fromkeys(map(tuple, near)) if len(set(file[list(g)])) > 1]
     groups = [g for g in groups if np.isfinite(values[g]).all() and np.all(values[g].mean(axis=0) > 0.0)]
     if not groups:

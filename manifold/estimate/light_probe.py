@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.special import expit
 
 from manifold.colour.conversion import decode_srgb, encode_srgb
 from manifold.core.defaults import TINY
@@ -41,15 +42,9 @@ _DOUBTED_DEG = 10.0  # least doubtful angle; lamps are found within 7 degrees in
 _WELL_EXPLAINED = 0.035  # largest residual of pictures that are explained well
 _CLEARLY = 1.6  # least ratio of residuals of two encodings: at most 1.33 in triples of pictures that are sRGB
 _CLEARLY_OF_FEW = 2.5  # the same of one or two pictures: at most 2.1 in single ones that are sRGB
-# Ratio of these residuals at which both encodings are equally probable, and the power by which that changes with it.
+# Ratio of these residuals at which both encodings are equally probable, and the power of it by which the odds change:
+# a higher one trusts residuals more than angles.
 _DOUBTFUL, _DOUBTFUL_POWER = 2.0, 4
-_SURE_DEG = 3.0  # of a coarse estimate, within which given lamps confirm how pictures were read
-_NEAR_DEG = 5.0  # within which given lamps confirm the other encoding; they are measured to some 4 degrees
-# The same if the residual confirms it too: so far off are lamps found in a picture of a matte ball.
-_FOUND_DEG = 7.0
-_NEARER_DEG = 5.0  # by which it is at least nearer; the wrong one is 3 to 14 degrees off correct lamps
-_SMALLER = 1.2  # least ratio of residuals at which angles below the doubtful one are believed
-_MOST_RESIDUAL = 0.3  # of a ball whose encoding is in doubt
 _OF_ENCODING = 3  # pictures in which encodings are compared; of more, some evenly spaced
 
 _Places = tuple[Array, Array, Array | float, Indices, Array]  # see `_Pixels._places`
@@ -111,13 +106,11 @@ def find_light(
     photographs: Sequence[Photograph],
     circle: Circle | None = None,
     distance: float = np.inf,
-    *,
-    most_residual: float = _LARGEST_RESIDUAL,
 ) -> Probe:
     """Estimate the outline of a ball that did not move, and the single lamp of every photograph.
 
     All photographs have the same size. A given circle is refined. The lamps are `distance` radii from the ball's
-    centre. Raises UsageError if the residual of a photograph is larger than `most_residual`.
+    centre. Raises UsageError if no lamp explains a photograph.
     """
     sizes = {one.values.shape[:2] for one in photographs}
     if len(sizes) > 1:
@@ -136,7 +129,7 @@ def find_light(
     pixels, fit = _refined(some, *min(tried, key=lambda each: each[1].cost))
     if len(some) < len(smaller):
         pixels, fit = _with_others(_Pixels.of(smaller, pixels.circle, distance, _SIDES[1]), fit, chosen)
-    found = pixels.probe(fit, photographs, most_residual)
+    found = pixels.probe(fit, photographs)
     return replace(found, circle=found.circle.scaled(factor))
 
 
@@ -167,23 +160,24 @@ def given_encoding_notes(
 ) -> tuple[str, ...]:
     """Return a warning if photographs seem to be encoded otherwise than they were read, given their far lamps.
 
-    That is so if the shading agrees with the lamps only when the photographs are read otherwise. Estimated circles are
-    searched again, because the encoding moves them as well.
+    That is so if the other encoding is more probable by the angles between given and estimated lamps, and by the
+    residuals. Given lamps are taken to be as uncertain as the shading model. Estimated circles are searched
+    again, because the encoding moves them as well.
     """
     chosen = evenly_spaced(len(photographs), _OF_ENCODING).tolist()
     read = [photographs[k] for k in chosen]
-    otherwise = _read_otherwise(read)
+    otherwise, deviation = _read_otherwise(read), np.hypot(_MODEL_DEG, _MODEL_DEG)
     if otherwise is None or any(np.isfinite(lamps[k].distance) for k in chosen):
         return ()
     try:
-        probes = [_coarse_probe(one, circles[k], _MOST_RESIDUAL) for one, k in zip(read, chosen, strict=True)]
+        probes = [_coarse_probe(one, circles[k]) for one, k in zip(read, chosen, strict=True)]
         off = [one.lamps[0].degrees_from(lamps[k]) for one, k in zip(probes, chosen, strict=True)]
-        if np.median(off) < _SURE_DEG:
+        if np.median(off) < deviation:
             return ()
         apart, residual = [], []
         for pictures in (read, otherwise):
             probes = [
-                find_light([one], circles[k] if are_given else None, most_residual=_MOST_RESIDUAL)
+                find_light([one], circles[k] if are_given else None)
                 for one, k in zip(pictures, chosen, strict=True)
             ]
             off = [one.lamps[0].degrees_from(lamps[k]) for one, k in zip(probes, chosen, strict=True)]
@@ -192,9 +186,8 @@ def given_encoding_notes(
     except UsageError:
         return ()
     (far, near), (large, small) = apart, residual
-    is_smaller = large > _SMALLER * small
-    is_doubted = far > _DOUBTED_DEG or is_smaller
-    if near > (_FOUND_DEG if is_smaller else _NEAR_DEG) or far < near + _NEARER_DEG or not is_doubted:
+    log_odds = 0.5 * (far**2 - near**2) / deviation**2 + _log_odds(large / max(small, TINY))
+    if near > 2.0 * deviation or log_odds < 0.0:
         return ()
     return (
         _advice(
@@ -228,13 +221,18 @@ def doubt_encoding(photographs: Sequence[Photograph], probe: Probe) -> tuple[Pro
     ratio = residual / max(small, TINY)
     least = _CLEARLY if len(chosen) >= _OF_ENCODING else _CLEARLY_OF_FEW
     is_clear = small <= _WELL_EXPLAINED and ratio >= least
-    probability = 1.0 if is_clear else 1.0 / (1.0 + (_DOUBTFUL / max(ratio, TINY)) ** _DOUBTFUL_POWER)
+    probability = 1.0 if is_clear else float(expit(_log_odds(ratio)))
     wider = np.hypot(probe.lamp_deg, np.sqrt(probability) * np.array(apart))
     probe = replace(probe, lamp_deg=tuple(wider.tolist()))
     if not is_clear:
         return probe, ()
     explained = f"one lamp explains the ball to {percent(residual, 1)}"
     return probe, (_advice(photographs[0], explained, f"to {percent(small, 1)}"),)
+
+
+def _log_odds(ratio: float) -> float:
+    """Return the logarithm of the odds of another encoding, by the ratio of the residual to that of the other one."""
+    return _DOUBTFUL_POWER * float(np.log(max(ratio, TINY) / _DOUBTFUL))
 
 
 def _read_otherwise(photographs: Sequence[Photograph]) -> list[Photograph] | None:
@@ -262,11 +260,11 @@ def _encodings(photograph: Photograph) -> tuple[str, str, str]:
     return ("sRGB", "linear", "--linear") if photograph.is_encoded else ("linear", "sRGB", "--encoded")
 
 
-def _coarse_probe(photograph: Photograph, circle: Circle, most_residual: float = _LARGEST_RESIDUAL) -> Probe:
+def _coarse_probe(photograph: Photograph, circle: Circle) -> Probe:
     """Return the estimated light of one photograph without its refinement. Raises UsageError as `find_light`."""
     factor = photograph.factor
     pixels, fit = _coarse_fit([photograph.reduced(factor)], circle.scaled(1.0 / factor), np.inf)
-    return pixels.probe(fit, [photograph], most_residual)
+    return pixels.probe(fit, [photograph])
 
 
 def _coarse_fit(photographs: Sequence[Photograph], circle: Circle, distance: float) -> tuple[_Pixels, _Fit]:
@@ -615,17 +613,17 @@ class _Pixels:
             np.sqrt(squares / np.maximum(np.sum((self.roots * self.is_seen) ** 2, axis=1), 1e-12))
         )
 
-    def probe(self, fit: _Fit, photographs: Sequence[Photograph], most_residual: float) -> Probe:
+    def probe(self, fit: _Fit, photographs: Sequence[Photograph]) -> Probe:
         """Return the estimate of a fit. Raises UsageError beyond the largest residual."""
         residual = self.residual(fit)
         names = [one.path.name for one in photographs]
-        lost = [name for name, one in zip(names, residual, strict=True) if one > most_residual]
+        lost = [name for name, one in zip(names, residual, strict=True) if one > _LARGEST_RESIDUAL]
         if lost:
             doubted = next((one for one in photographs if not one.is_certain), None)
             hint = "" if doubted is None else "; add {2} if its values are {1}".format(*_encodings(doubted))
             raise UsageError(
                 f"{', '.join(lost)}: no single lamp explains the ball (residual {percent(residual.max())}, expected at "
-                f"most {percent(most_residual)}); give its --circle, or the lamp by --lamp X,Y,Z or the light "
+                f"most {percent(_LARGEST_RESIDUAL)}); give its --circle, or the lamp by --lamp X,Y,Z or the light "
                 f"by --light{hint}"
             )
         covariance = np.linalg.pinv(fit.curvature)

@@ -24,7 +24,7 @@ from manifold.gp.nonnegative import nonnegative_weights
 # These constants, and those below, were chosen by completions of left-out RGB files. Multiplied or divided by 1.5, each
 # changes the geometric mean of ball and cube-root errors of six such files by at most 6 %, and that of ball errors by
 # at most 2 % (`tools/constants.py estimate.mixtures`). NOISE, MODEL_ERROR, SCALE_SPREAD and _EXPONENT trade one error
-# for the other. _TEMPERED and _WORLD_COATED act on expected errors only; _MOST_PAIRS and _CONSIDERED bound the work.
+# for the other. _TEMPERED and _WORLD_COATED act on expected errors only; _MOST_PAIRS bounds the work.
 SHARES = (0.5, 0.2, 0.8)  # shares of the first atom of two; one alone has 1
 _MOST_PAIRS = 40_000  # pairs of atoms of two materials; of larger libraries as many at random
 _FREEDOM = 3.0  # degrees of freedom of Student's t: the variances of noise and residual are estimates
@@ -331,7 +331,6 @@ MODEL_ERROR = 0.04
 _REACH = 2.0  # correlation length of the residual of mixtures, in lengths of `residual`
 _EXPONENT = 5.0  # power of the norm of mixtures by which their likelihood is divided
 _COUNT = 100  # most hypotheses
-_CONSIDERED = 4000  # most probable mixtures of atoms, of which many are of the same materials
 _ALIKE = 0.07  # standard deviation between bands of the shares of materials
 _COLOUR = 0.7  # weight of the differences between bands against their mean
 
@@ -501,7 +500,7 @@ def band_mixtures(
 def _of_different_materials(mixtures: Mixtures, material_of: Indices) -> Indices:
     """Return the most probable mixtures, one for every pair of materials and shares of them."""
     seen: dict[tuple[int, int, float], int] = {}
-    for k in mixtures.most_probable(_CONSIDERED).tolist():
+    for k in mixtures.most_probable(len(mixtures.log_posterior)).tolist():
         i, j = int(material_of[mixtures.first[k]]), int(material_of[mixtures.second[k]])
         share = float(mixtures.share[k])
         if i > j:

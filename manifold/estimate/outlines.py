@@ -13,6 +13,7 @@ from scipy.optimize import minimize
 
 from manifold.colour.conversion import encode_srgb
 from manifold.colour.picture_files import read_picture
+from manifold.colour.saturation import SEARCHED
 from manifold.core.errors import FileFormatError, UsageError
 from manifold.core.names import percent
 from manifold.core.records import Array, Mask
@@ -22,7 +23,6 @@ BRIGHT = 0.995
 
 _LEAST_SIZE = 16
 _LEAST_RADIUS = 8.0  # pixels
-_SEARCHED = 800  # pixels of the longer side in which outlines and lamps are sought, at least, where pictures have more
 _COARSE = 128  # pixels of the longer side in which circles are searched
 _RADII = 0.08, 0.62  # smallest and largest radius of circles, relative to that
 _LEAST_SUPPORT = 0.5  # share of the outline that is an edge
@@ -59,7 +59,7 @@ class Photograph:
     @property
     def factor(self) -> int:
         """Return the factor by which the picture is reduced for the search for outlines and lamps."""
-        return max(1, max(self.values.shape[:2]) // _SEARCHED)
+        return max(1, max(self.values.shape[:2]) // SEARCHED)
 
     def reduced(self, factor: int) -> Photograph:
         """Downsample by `factor`; a channel of a block is clipped if that of any of its pixels is."""

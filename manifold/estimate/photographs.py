@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 _MARGIN = 0.05  # width around the ball in pictures of residuals, in radii
 _SIZE, _SAMPLES = 256, 32  # pixels a side, and samples per pixel, of predicted pictures
-_LARGEST_ERROR = 10.0  # CIEDE2000 of the brightest colour
 
 
 def require_drawable(picture: Path, request: PhotoRequest) -> None:
@@ -92,7 +91,9 @@ def residual_figure(
     for row, name, photograph, prediction, error in zip(axes, names, seen, predicted, errors, strict=True):
         for axis, picture in zip(row[:2], (photograph, prediction), strict=True):
             axis.imshow(encode_srgb(np.nan_to_num(picture)), interpolation="nearest")
-        shown = row[2].imshow(error, cmap="magma", vmin=0.0, vmax=_LARGEST_ERROR, interpolation="nearest")
+        shown = row[2].imshow(
+            error, cmap="magma", vmin=0.0, vmax=figures.LARGEST_DELTA_E, interpolation="nearest"
+        )
         figure.colorbar(shown, ax=row[2], shrink=0.8, extend="max")
         difference = f"CIEDE2000 in this light, mean {np.nanmean(error):.1f}"
         titles = figures.in_lines(name), "predicted", difference

@@ -10,6 +10,7 @@ import numpy as np
 from manifold.colour.conversion import to_srgb
 from manifold.colour.narrow_bands import in_daylight
 from manifold.colour.reflectances import spectral_changes, weights_at
+from manifold.core.defaults import DARKEST
 from manifold.core.errors import FileFormatError
 from manifold.core.records import Array
 from manifold.estimate.residual import coordinates
@@ -20,7 +21,6 @@ _SAME_PLACE = 0.1  # largest distance in correlation lengths: 1 degree
 _MOST_FACTOR = 1.5  # largest factor between a picture's mean and the colour of its reading
 _SCATTER = 0.01  # relative deviation of cube roots: means over readings vary by 3 % between pictures
 _VISIBLE_NM = (460.0, 605.0)  # within which spectra have to reach to be changed as colours say
-_DARK = 1e-3
 
 
 def reading_at(readings: Readings, wi: Array, wo: Array) -> int | None:
@@ -82,10 +82,10 @@ def with_picture_colours(readings: Readings) -> Readings:
             "the pictures do not match the readings (a different sample?) and are not used"
         )
     whole = readings.values[readings.measured.all(axis=1)]
-    colours = np.maximum(np.pi * to_srgb(whole, readings.bands), _DARK)
+    colours = np.maximum(np.pi * to_srgb(whole, readings.bands), DARKEST)
     weights = weights_at(nm)
     made = []
-    for colour in np.maximum(seen[missing] / factor, _DARK):
+    for colour in np.maximum(seen[missing] / factor, DARKEST):
         nearest = int(np.argmin(np.linalg.norm(np.log(colours / colour), axis=1)))
         spectrum = whole[nearest]
         made.append(

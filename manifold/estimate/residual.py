@@ -13,7 +13,7 @@ import numpy as np
 
 from manifold.brdf.interface import BRDF
 from manifold.brdf.wrapper import WrappedBRDF
-from manifold.core.defaults import TINY
+from manifold.core.defaults import RIDGE, TINY
 from manifold.core.directions import half_vector
 from manifold.core.records import Array, Indices
 
@@ -27,7 +27,6 @@ DARK = 0.1
 
 _OWN = 0.4  # length of what a reading has for itself, over the others
 
-_LEAST_NOISE = 1e-6  # as such a share: what solves well
 
 _LENGTHS = np.array([0.12, 0.3, 0.3])  # correlation lengths of the three coordinates
 _MOST = 0.5  # relative residual: larger ones come from a wrong mixture, and say nothing of nearby directions
@@ -184,7 +183,7 @@ def _noise(residual: Array, weights: Array, sums: Array, totals: Array, repeatab
     total = max(float(totals.sum()), tiny)
     between = float(np.sum(sums**2 / np.maximum(totals, tiny))) / total
     within = max(float(np.sum(weights * residual**2)) / total - between, 0.0)
-    return float(np.clip(max((repeatability / 3.0) ** 2, within) / max(between, tiny), _LEAST_NOISE, 1.0))
+    return float(np.clip(max((repeatability / 3.0) ** 2, within) / max(between, tiny), RIDGE, 1.0))
 
 
 def covariance(a: Array, b: Array) -> Array:

@@ -10,11 +10,13 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from manifold.colour import panel
+from manifold.core.defaults import MINI_DIFF_SEES_DEG, RIDGE
 from manifold.core.directions import angles_from_mirror, from_spherical
 from manifold.core.errors import UsageError
 from manifold.core.records import Array, Indices, Mask
 from manifold.estimate.atoms import LibraryAtoms, ball_coordinates
 from manifold.estimate.completion import Completion
+from manifold.estimate.mixtures import NOISE as READING_NOISE
 from manifold.estimate.mixtures import material_prior
 from manifold.estimate.residual import DARK, NOISE, coordinates, covariance
 from manifold.formats.light_side import LEAST_HIDDEN
@@ -86,11 +88,8 @@ def next_readings(unknowns: Sequence[Deviations], count: int) -> Indices:
 
 _SAME_DEG = 2.0  # a reading this near in both directions was taken
 _MINI_DIFF_INCIDENCES_DEG = (0, 20, 40, 60)
-_MINI_DIFF_LARGEST_DEG = 75
-_READING_NOISE = 0.02  # relative deviation of a reading's cube root under a hypothesis
 _COLOUR_NOISE = 0.05  # deviation of a band from the mean of all, as a share of the reading's cube root
 _MODEL_ERROR = 0.1  # standard deviation of the residual of all hypotheses, relative to cube roots
-_JITTER = 1e-6  # on the diagonal of covariances: candidates may coincide
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +179,7 @@ def _structure(atoms: LibraryAtoms, weights: Array, probability: Array, at: Arra
     at_candidates, on_ball, everywhere = (
         root * (table - probability @ table) for table in (candidates, _pixels(weights @ atoms.ball), on_grid)
     )
-    return Deviations(at_candidates, on_ball, everywhere, _noise(probability @ candidates**2, _READING_NOISE))
+    return Deviations(at_candidates, on_ball, everywhere, _noise(probability @ candidates**2, READING_NOISE))
 
 
 def _colours(atoms: LibraryAtoms, at: Array, square: Array, taken: Array, taken_square: Array) -> Deviations:
@@ -219,7 +218,7 @@ def _residual(where: Array, taken: Array, level: Array, mean_on_ball: Array) -> 
         between = covariance(where, taken)
         gain = np.linalg.solve(covariance(taken, taken) + NOISE * np.eye(len(taken)), between.T).T
         own, of_pixels = own - gain @ between.T, of_pixels - gain @ with_pixels(taken)
-    L = np.linalg.cholesky(own + _JITTER * np.eye(len(own)))
+    L = np.linalg.cholesky(own + RIDGE * np.eye(len(own)))
     on_ball = solve_triangular(L, of_pixels, lower=True)
     return Deviations(
         _MODEL_ERROR * L.T * level,
@@ -253,7 +252,7 @@ def all_directions() -> tuple[Array, Array]:
 def _mini_diff() -> tuple[Array, Array]:
     return _product(
         np.array(_MINI_DIFF_INCIDENCES_DEG),
-        np.arange(0, _MINI_DIFF_LARGEST_DEG + 1, 5),
+        np.arange(0, int(MINI_DIFF_SEES_DEG) + 1, 5),
         np.arange(0, 181, 10),
     )
 

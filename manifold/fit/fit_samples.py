@@ -21,7 +21,7 @@ from manifold.formats.readings import Readings
 MIN_PAIRS = 4
 MAX_PAIRS = 2048
 _GRAZING_COS = 0.05  # 87 degrees: beyond, instruments and files extrapolate
-_BALL, _SUN_PIXELS = (6, 18, 8), 16  # pixels, rings and spokes; pixels under suns: 3,900 direction pairs
+_BALL = (6, 18, 8)  # pixels, rings and spokes: 3,900 direction pairs with those under suns
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class Pixels:
     @classmethod
     def of_values(cls, f: Callable[[Array, Array], Array]) -> Pixels:
         """Return the pixels of a ball from a function that evaluates its BRDF; negative values are treated as 0."""
-        lights = panel.fitted(*_BALL, sun_pixels=_SUN_PIXELS)
+        lights = panel.fitted(*_BALL, sun_pixels=panel.FITTED_SUN_PIXELS)
         empty = cls(lights, np.zeros(0))
         return replace(empty, values=empty.of(np.maximum(f(lights.wi, lights.wo), 0.0) * lights.wo[:, 2:]))
 

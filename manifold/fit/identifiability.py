@@ -19,8 +19,10 @@ UNSEEN = "not seen"
 AMBIGUOUS = "ambiguous"
 
 _CONFIDENCE = 0.99  # confidence at which a second minimum counts as worse than the best
-_BOUND = 2e-3  # share of the range: nearer to an end is at the end
-_CORRELATED = 0.9
+BOUND = 2e-3
+"""Share of a range: values nearer to an end count as the end; a lobe of such a weight is none."""
+
+_CORRELATED = 0.9  # correlation of two undetermined parameters from which the other one is named
 _STEP = 0.1  # share of every range: how far a linear model is trusted
 
 
@@ -139,7 +141,7 @@ def identify_parameters(
                 standard_error=error,
                 state=state,
                 at_bound=not kept[k]
-                and bool(min(p[k] - layout.minimum[k], layout.maximum[k] - p[k]) < _BOUND * span[k]),
+                and bool(min(p[k] - layout.minimum[k], layout.maximum[k] - p[k]) < BOUND * span[k]),
                 entangled_with=layout.labels[partner] if entangled else None,
                 is_kept=bool(kept[k]),
             )

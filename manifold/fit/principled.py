@@ -37,8 +37,6 @@ _POOR_FIT = (
     0.12  # relative residual: beyond it balls of measured materials look wrong, docs/explanation/fits.md
 )
 
-_LEAST_ANISOTROPY = 0.01  # alphas that differ by half a per cent
-
 
 @dataclass(frozen=True)
 class FittedMinimum:
@@ -403,7 +401,7 @@ def _notes(result: FitResult, n_others: int, is_isotropic: bool) -> list[str]:
         return notes
     if anisotropic is None:
         notes.append("anisotropic, but fitted as isotropic; free the parameter `anisotropic`")
-    elif isinstance(anisotropic, float) and anisotropic < _LEAST_ANISOTROPY:
+    elif isinstance(anisotropic, float) and anisotropic < identifiability.BOUND:
         notes.append(
             "anisotropic, but fitted the same at all azimuths: principled's highlights are wider along x; where the "
             "sample's are wider along y, rotate it by 90 degrees about its normal"

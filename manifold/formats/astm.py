@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from manifold.core import disk
-from manifold.core.defaults import GONIOMETER
+from manifold.core.defaults import GONIOMETER, MINI_DIFF_SEES_DEG
 from manifold.core.errors import ShapeError
 from manifold.core.names import in_one_line
 from manifold.core.records import Array
@@ -52,7 +52,6 @@ from manifold.formats.values import (
 )
 
 _REMEDY = "export the table again"
-_PADDING_FROM = np.deg2rad(75.0)  # a Mini-Diff sees no further; beyond, its files ramp to zero
 _STEEP_INCIDENCE, _STEEP_WEIGHT = np.deg2rad(50.0), 0.5  # its incidence of 60 degrees is less reliable
 
 
@@ -214,7 +213,7 @@ def _readings(
     if is_degrees:
         angle = {key: np.deg2rad(values) for key, values in angle.items()}
     if is_mini_diff:
-        padded = (np.abs(angle["theta_o"]) > _PADDING_FROM + 1e-4) & (
+        padded = (np.abs(angle["theta_o"]) > np.deg2rad(MINI_DIFF_SEES_DEG) + 1e-4) & (
             np.abs(angle["theta_o"]) < 0.5 * np.pi + 1e-4
         )
         table, angle = table[~padded], {key: values[~padded] for key, values in angle.items()}

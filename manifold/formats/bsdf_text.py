@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from manifold.core.defaults import DARKEST
 from manifold.core.records import Array, Indices
 from manifold.formats.quantities import BRDF, quantity_in_prose
 from manifold.formats.text import (
@@ -29,7 +30,6 @@ _LISTS = ("samplerotation", "angleofincidence", "scatterazimuth", "scatterradial
 _NUMBERS = ("aoi", "poi", "wavelength")
 # Of the larger of a TIS and its table's integral: few nodes in a highlight, or cut at the horizon, differ by less.
 _APART = 0.5
-_LEAST_TIS = 1e-3  # smallest fraction of scattered light that is compared
 _XYZ = {f"{word}{letter}": k for word in ("tris", "tristimulus") for k, letter in enumerate("xyz")}
 
 
@@ -263,7 +263,7 @@ def note_contradictions(text: BsdfText, tables: Iterable[tuple[Block, Array]], n
     """Add a note if the stated total scatter (TIS) is far from its table's integral; cosines of theta_o broadcast."""
     azimuth, radial = (np.deg2rad(text.lists[name]) for name in _LISTS[2:])
     pairs = [(block.tis, total_scatter(block.values, azimuth, radial, cosine)) for block, cosine in tables]
-    apart = [abs(said - found) / max(abs(said), abs(found), _LEAST_TIS) for said, found in pairs]
+    apart = [abs(said - found) / max(abs(said), abs(found), DARKEST) for said, found in pairs]
     if max(apart, default=0.0) > _APART:
         said, found = pairs[int(np.argmax(apart))]
         count = sum(a > _APART for a in apart)

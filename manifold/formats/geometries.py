@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from manifold.core.defaults import ROUNDING
 from manifold.core.directions import from_spherical
 from manifold.core.names import counted
 from manifold.core.records import Array, Indices, Mask
@@ -23,7 +24,6 @@ from manifold.formats.text import ErrorContext
 
 _ROUNDING = 0.01  # radians
 _PHASE_ROUNDING = np.deg2rad(1.0)  # of angles in whole degrees
-_SMALL = 1e-9  # product of sines of directions along the normal, where there is no azimuth
 
 
 def exceed_radians(angles: Mapping[str, Array]) -> bool:
@@ -117,7 +117,7 @@ def _with_relative_azimuth(
         off = np.maximum(least - phase, phase - most)
         expected = "between the difference and the sum of incidence and emission"
         cosine = np.cos(phase) - np.cos(theta_i) * np.cos(theta_o)
-        cosine = np.divide(cosine, across, out=np.ones_like(across), where=across > _SMALL)
+        cosine = np.divide(cosine, across, out=np.ones_like(across), where=across > ROUNDING)
         angles = {**angles, RELATIVE: np.arccos(np.clip(cosine, -1.0, 1.0))}
         notes.append(
             Assumption(

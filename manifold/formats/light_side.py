@@ -13,7 +13,7 @@ from manifold.formats.readings import Readings
 
 _LEAST_PAIRS = 50  # fewer are a spectrophotometer's, whose geometries have names
 _NEAR = np.cos(np.deg2rad(12.0))
-_OBLIQUE = np.cos(np.deg2rad([75.0, 20.0]))
+_OBLIQUE = np.cos(np.deg2rad([75.0, 20.0]))  # incidences at which light and mirror direction are far apart
 _BRIGHTER = 3.0  # rough paints and papers are 1.4 times as bright towards the light at most
 LEAST_HIDDEN = np.cos(np.deg2rad(14.0))
 """Cosine of the smallest angle between light and receiver that is suggested; most instruments need 15 degrees."""

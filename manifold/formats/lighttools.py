@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from manifold.core import disk
-from manifold.core.defaults import GONIOMETER
+from manifold.core.defaults import GONIOMETER, MINI_DIFF_SEES_DEG
 from manifold.core.directions import from_spherical
 from manifold.core.names import in_one_line
 from manifold.core.records import Array
@@ -31,7 +31,6 @@ from manifold.formats.readings import Assumption, Readings
 from manifold.formats.text import decode
 from manifold.formats.values import converted, linear_srgb_to_xyz, unnamed_band
 
-_PADDING_FROM = 75.0  # degrees, of a Mini-Diff
 _USUAL_AZIMUTH = (
     90.0  # azimuth of incidence relative to POI, where the data do not tell, and of what is written
 )
@@ -74,7 +73,7 @@ def read(path: Path) -> list[Readings]:
     heading = " ".join([*text.comments[:20], *blocks[0].words.values()])
     is_mini_diff = re.search(r"mini[\s_-]*diff", heading, re.IGNORECASE) is not None
     if is_mini_diff and _is_ramp(theta, phi, values):
-        inside = theta <= _PADDING_FROM + 1e-6
+        inside = theta <= MINI_DIFF_SEES_DEG + 1e-6
         notes.append(
             f"{int((~inside).sum())} directions beyond 75 degrees are padding of the Mini-Diff, not data"
         )
@@ -142,9 +141,9 @@ def _stack(
 
 def _is_ramp(theta: Array, phi: Array, values: Array) -> bool:
     """Return whether values fall linearly to zero from 75 to 90 degrees."""
-    beyond = (theta >= _PADDING_FROM) & (phi == phi[-1])
+    beyond = (theta >= MINI_DIFF_SEES_DEG) & (phi == phi[-1])
     at, ramp = theta[beyond], values[:, beyond]
-    if at.size < 4 or not np.isclose(at[-1], 90.0) or at[0] > _PADDING_FROM + 1.0:
+    if at.size < 4 or not np.isclose(at[-1], 90.0) or at[0] > MINI_DIFF_SEES_DEG + 1.0:
         return False
     line = ramp[:, :1] * ((90.0 - at) / (90.0 - at[0]))[:, None]
     return bool(np.allclose(ramp, line, rtol=0.02, atol=0.02 * float(np.abs(ramp).max() + 1e-300)))

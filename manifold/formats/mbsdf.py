@@ -22,6 +22,7 @@ from manifold.core import disk
 from manifold.core.records import Array
 from manifold.formats.dense import DenseTable
 from manifold.formats.text import ErrorContext, read_bytes
+from manifold.formats.values import UNNAMED_NM
 
 SHAPE = (45, 45, 90)
 """Numbers of elevations of both directions and of azimuths in written tables, in steps of two degrees."""
@@ -36,7 +37,6 @@ _COUNTS = struct.Struct("<3I")  # kind, elevations, azimuths
 _CHANNELS = {0: 1, 1: 3}
 _MOST_METADATA = 1 << 16  # bytes
 _MOST = 1 << 28  # bytes of a file
-_ONE_BAND_NM = 550.0
 
 
 def axes(shape: tuple[int, int, int] | None = None) -> tuple[Array, Array, Array, Array]:
@@ -87,7 +87,7 @@ def read(path: Path) -> list[DenseTable]:
         raise context.error(f"the value at {node} is not finite, expected f in 1/sr")
     whole = np.concatenate([values, values[:, :, ::-1]], axis=2)[:, None].astype(float)
     notes = ("the transmission is left out",) if data[len(data) - rest :].startswith(_TRANSMISSION) else ()
-    wavelengths = None if kind == 1 else np.array([_ONE_BAND_NM])
+    wavelengths = None if kind == 1 else np.array([UNNAMED_NM])
     return [DenseTable(path.stem, "MBSDF", "incident-outgoing", axes(shape[:3]), wavelengths, whole, notes)]
 
 

@@ -61,7 +61,8 @@ _NUMBER_OF_NM = re.compile(
 _TYPICAL = 0.06  # relative standard uncertainty of a value whose reading counts half of an exact one
 _PRIMARIES_XY = ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06))
 _D65_XY = (0.3127, 0.3290)
-_UNNAMED_NM = 550.0
+UNNAMED_NM = 550.0
+"""Wavelength of a single band without one: green, where eyes see most."""
 
 
 def named_wavelength(comments: Iterable[str], context: ErrorContext) -> float | None:
@@ -374,5 +375,5 @@ def unnamed_band(notes: list[str], context: ErrorContext, comments: Iterable[str
     if named is not None:
         notes.append(f"one band, its wavelength is taken from a comment: {named:g} nm")
         return np.array([named])
-    notes.append(Assumption(f"one band without a wavelength: taken as {_UNNAMED_NM:g} nm"))
-    return np.array([_UNNAMED_NM])
+    notes.append(Assumption(f"one band without a wavelength: taken as {UNNAMED_NM:g} nm"))
+    return np.array([UNNAMED_NM])

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from manifold.core import disk
-from manifold.core.defaults import GONIOMETER
+from manifold.core.defaults import GONIOMETER, MINI_DIFF_SEES_DEG
 from manifold.core.directions import from_spherical, rotate_z
 from manifold.core.names import in_one_line
 from manifold.core.records import Array, Mask
@@ -28,9 +28,6 @@ from manifold.formats.bsdf_text import (
 from manifold.formats.readings import Readings
 from manifold.formats.text import decode
 from manifold.formats.values import converted, linear_srgb_to_xyz, unnamed_band
-
-# of zeros: instruments end at 75 to 85 degrees, tables at the horizon
-_PADDING_FROM = np.cos(np.deg2rad(75.0))
 
 
 def sniff(head: bytes) -> bool:
@@ -85,7 +82,8 @@ def read(path: Path) -> list[Readings]:
 def _is_measured(wo: Array, values: Array) -> Mask:
     """Return a mask of the directions (n, 3) of one incidence with data, (n,); zeros that fill the table have none."""
     is_dark = np.all(values == 0.0, axis=1)
-    lowest = np.min(wo[~is_dark, 2], initial=_PADDING_FROM)
+    # Instruments end at 75 to 85 degrees, tables at the horizon.
+    lowest = np.min(wo[~is_dark, 2], initial=np.cos(np.deg2rad(MINI_DIFF_SEES_DEG)))
     is_data: Mask = ~is_dark | (wo[:, 2] > lowest - 1e-6) | bool(np.all(is_dark))
     return is_data
 

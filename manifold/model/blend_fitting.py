@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from manifold.brdf.interface import all_isotropic
 from manifold.brdf.measured import MeasuredBRDF, values_at
+from manifold.brdf.plausibility import ALBEDO_INCIDENCES_DEG
 from manifold.colour import ball_colours, panel
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000_lab, to_lab
@@ -26,9 +27,6 @@ from manifold.model.settings import COMPARED_BANDS
 
 _FLOOR = 1e-2  # 1/sr, added before logarithms: smaller values look black
 _BALL = 0.85  # share of the balls in the distance of two materials; the rest is that of the logarithms
-_PIXELS = 4  # of the balls in the lights of fits, every so many are compared
-_SUN_PIXELS = 16  # across the balls under suns
-_ALBEDO_INCIDENCES_DEG = (0.0, 30.0, 60.0, 75.0)
 
 
 Floats = NDArray[np.float32]  # single precision: there are thousands of materials
@@ -37,7 +35,7 @@ Halves = NDArray[np.float16]  # cube roots to 0.05 %, which no colour difference
 
 def _lights() -> panel.Panel:
     """Return the balls by which materials are compared, in the lights of fits."""
-    return panel.fitted(sun_pixels=_SUN_PIXELS).every(_PIXELS)[0]
+    return panel.fitted(sun_pixels=panel.FITTED_SUN_PIXELS).every(panel.STRIDE)[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +174,7 @@ def evaluate(
         panel.judged(),
     )
     studio = len(ball_colours.ball())
-    spheres = [integrating_sphere(), *(integrating_sphere(degrees) for degrees in _ALBEDO_INCIDENCES_DEG)]
+    spheres = [integrating_sphere(), *(integrating_sphere(degrees) for degrees in ALBEDO_INCIDENCES_DEG)]
     on_ball: list[Halves] = []
     amplitude = np.sqrt(grid.cosines)[:, None]
     appearances: list[tuple[Array, Floats]] = []

@@ -9,16 +9,13 @@ import numpy as np
 
 from manifold.colour import panel
 from manifold.colour.conversion import srgb_to_xyz
-from manifold.colour.difference import delta_e_2000_lab, to_lab
+from manifold.colour.difference import VISIBLE, delta_e_2000_lab, to_lab
 from manifold.core import progress
 from manifold.core.names import percent
 from manifold.core.records import Array, Indices, evenly_spaced
 
 NEIGHBOURS_COMPARED = 5
 """Number of most similar materials that should be nearest on the map."""
-
-LEAST_APART = 1.0
-"""CIEDE2000 below which two materials look alike, so that no detour is measured between them."""
 
 FAR = 1.5
 """Detour above which a prediction does not lie between its two materials."""
@@ -112,7 +109,7 @@ def measure_coherence(
         j = int(similar[0])
         ends = ball(i), ball(j)
         difference = lights.compare(*ends).ball
-        if difference >= LEAST_APART:
+        if difference >= VISIBLE:
             between = predict(0.5 * (X[i] + X[j]))
             way = sum(lights.compare(end, between).ball for end in ends)
             pairs.append(Pair(i, j, difference, way / difference))

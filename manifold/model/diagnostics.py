@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from manifold import __version__
+from manifold.brdf.consistency import MOST_NEGATIVE
 from manifold.brdf.interface import BRDF
 from manifold.brdf.physical import RECIPROCITY_ERROR
 from manifold.brdf.plausibility import Plausibility, albedo_at, plausibility
@@ -35,7 +36,6 @@ _LEFT_WALK = (
 SHOWN_WEIGHT = 0.005
 """Smallest weight that is printed, with two decimals."""
 
-MOST_NEGATIVE = 0.005  # share of values, above which a prediction is diagnosed; one in a hundred is seen
 MOST_ALBEDO = 1.05  # measured materials reach a little above 1 too
 MOST_NON_RECIPROCAL = 0.5  # relative; measured materials reach 0.3, mirrors more
 MOST_VALLEY = 0.1  # depth of a valley over the values beside it; measured materials reach 0.04

@@ -39,7 +39,7 @@ from manifold.model.model_file import (
 from manifold.model.settings import BlendSettings, GplvmSettings, Settings
 
 _DEFAULTS = BlendSettings()
-_LIT_DEG = np.array([0.0, 45.0])
+_LIT_DEG = np.array([0.0, 45.0])  # incidences of the albedos that are compared with `_MOST_ALBEDO`
 # Measured materials reach a little above 1; reflectance factors taken for f are pi times as large.
 _MOST_ALBEDO = 1.5
 

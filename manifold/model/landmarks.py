@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import scipy
 
+from manifold.core.defaults import RIDGE
 from manifold.core.metrics import relative_error
 from manifold.core.pairs import Pairs
 from manifold.core.records import Array, Indices
@@ -82,7 +83,6 @@ SIGNATURE = 32
 _AROUND, _ALIKE = 64, 16  # candidates: nearest on the map, and most alike in their own colours
 _ROUNDS = 3  # searches, each around the place that the one before found
 _MOVED = 1.0  # length scales: a place farther than this from where it was looked for is looked for again
-_RIDGE = 1e-6  # relative to the mean squared norm: landmarks may be alike
 
 
 def signatures(gram: Array, products: Array) -> Array:
@@ -94,7 +94,7 @@ def signatures(gram: Array, products: Array) -> Array:
     Distances between coordinates equal distances between the materials' cube roots, projected on the span.
     """
     gram = gram.astype(np.float64)
-    L = scipy.linalg.cholesky(gram + _RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram)), lower=True)
+    L = scipy.linalg.cholesky(gram + RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram)), lower=True)
     return np.asarray(scipy.linalg.solve_triangular(L, products.T.astype(np.float64), lower=True).T)
 
 

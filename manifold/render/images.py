@@ -18,7 +18,7 @@ from manifold.core.records import Array
 from manifold.render import backend
 
 SUFFIXES = (".exr", ".png")
-_KNEE = 0.7
+_KNEE = 0.7  # linear value above which highlights are compressed, so that they keep their form below white
 _COMPRESSION = 1  # of PNG: a third of the time of the default, for files a sixth larger
 
 

@@ -11,18 +11,17 @@ from scipy.fft import dct, dctn, dst, idct, idctn, idst
 
 from manifold.brdf.interface import EvaluableBRDF
 from manifold.core.records import Array, Mask
-from manifold.surface.lambertian import fit_lambertian, tangents
+from manifold.surface.lambertian import OUTLIER, fit_lambertian, tangents
 from manifold.surface.lamp_pictures import SurfacePictures
 from manifold.surface.response import SLOPE_STD, THIRD_STD, Response, gain_of
 
 SPARKLE = 1.8
 """Smallest ratio of a glint's brightness to its surroundings."""
 
-_SURROUNDINGS_PX = 9
+_SURROUNDINGS_PX = 9  # side of the square whose median a glint exceeds, three times as wide as a glint
 _BRIGHTEST = 0.999  # quantile of points; brighter ones are glints and dust
 _MIDDLE_COSINE = np.cos(np.deg2rad(50.0))  # lamps farther from the normal make relief sparkle, too
 _ROUNDS = 3  # in which what no smooth relief explains is left out
-_OUTLIER = 3.0  # standard deviations
 _BLOCK_ROWS = 128  # that are fitted at once
 
 
@@ -121,7 +120,7 @@ def estimate_surface(pictures: SurfacePictures, brdf: EvaluableBRDF | None = Non
         state, albedo, residual, covariance = _fitted(values, log_means, response, trusted, prior)
         spread = [1.4826 * np.median(np.abs(picture)) + 1e-6 for picture in residual]
         for picture, is_trusted, s in zip(residual, trusted, spread, strict=True):
-            is_trusted[...] = np.abs(picture) <= _OUTLIER * s
+            is_trusted[...] = np.abs(picture) <= OUTLIER * s
         trusted[:, np.count_nonzero(trusted, axis=0) < 3] = True  # of what is left, a point needs three
     return _surface(
         pictures,

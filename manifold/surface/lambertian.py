@@ -22,13 +22,15 @@ from manifold.surface.lamp_pictures import SurfacePictures
 from manifold.surface.response import CODE_NOISE, SLOPE_STD
 
 _ROUNDS = 6  # of the fit, its noise, its prior and its outliers
-_OUTLIER = 4.0  # standard deviations, beyond which residuals count much less
-_NO_PRIOR = 10.0  # standard deviation of slopes in the first round, which determines the noise
-_STEEPEST = 5.0  # slope of 79 degrees; points without light have steeper ones
-_UNKNOWNS = 3
-_OF_SEVERAL = 6  # pictures, from which residuals determine the noise of each
-_NOISIER = 4.0  # largest ratio of a picture's noise to that of all, and the inverse of the smallest
-_LEAST_NOISE = 1e-5  # relative; pictures of 16 bits have more
+OUTLIER = 4.0
+"""Standard deviations, beyond which residuals count much less: 3 leaves out true relief, more keep glints."""
+
+# Slope of 79 degrees: points without light have steeper ones; and standard deviation of slopes in the first round.
+_STEEPEST = 5.0
+_UNKNOWNS = 3  # albedo and two slopes
+# Largest ratio of a picture's noise to that of all, and inverse of the smallest: residuals of few pictures determine
+# it poorly.
+_NOISIER = 4.0
 _TO_STD = 1.4826  # of a median absolute deviation
 # Least share of a slope after shrinking, from which its size is estimated; 0 across a row of lamps.
 _LEAST_KEPT = 0.1
@@ -118,7 +120,7 @@ class _Spread(NamedTuple):
 def _rounds(relative: Array, design: Array, noise: Array) -> list[_Spread]:
     """Return the spreads of each round of a fit to some points (P, J, 3), which every point repeats."""
     weights: Array = np.ones(relative.shape[:2])
-    rounds = [_Spread(noise, _NO_PRIOR, np.full(3, 1.0 / 3.0))]
+    rounds = [_Spread(noise, _STEEPEST, np.full(3, 1.0 / 3.0))]
     while len(rounds) < _ROUNDS:
         spread = rounds[-1]
         points = _solve(relative, design, weights, spread)
@@ -187,10 +189,8 @@ def _noise_of(points: _Points, design: Array, noise: Array) -> Array:
     leverage = np.einsum("jk,kl,jl->j", design, points.covariance.mean(axis=0), design) / noise**2
     spread = _TO_STD * np.median(np.abs(points.off), axis=0)
     common = float(np.sqrt(np.mean(spread**2) / max(1.0 - float(leverage.mean()), TINY)))
-    if len(noise) < _OF_SEVERAL:
-        return np.full(len(noise), max(common, _LEAST_NOISE))
     own = spread / np.sqrt(np.maximum(1.0 - leverage, TINY))
-    return np.maximum(np.clip(own, common / _NOISIER, common * _NOISIER), _LEAST_NOISE)
+    return np.maximum(np.clip(own, common / _NOISIER, common * _NOISIER), TINY)
 
 
 def _std_of_slopes(points: _Points, prior_std: float) -> float:
@@ -204,19 +204,19 @@ def _std_of_slopes(points: _Points, prior_std: float) -> float:
     if not is_known.any():
         return prior_std
     of_truth = (np.mean(slope**2, axis=0) / kept**2 - variance / kept)[is_known]
-    return float(np.sqrt(max(float(np.mean(of_truth)), _LEAST_NOISE**2)))
+    return float(np.sqrt(max(float(np.mean(of_truth)), TINY**2)))
 
 
 def _trust(off: Array, noise: Array) -> Array:
     """Return weights (P, J): small ones of residuals far beyond the noise and the point's other residuals."""
     own = _TO_STD * np.median(np.abs(off), axis=1, keepdims=True)
-    return np.asarray(1.0 / (1.0 + (off / (_OUTLIER * np.maximum(noise, own))) ** 2) ** 2)
+    return np.asarray(1.0 / (1.0 + (off / (OUTLIER * np.maximum(noise, own))) ** 2) ** 2)
 
 
 def _channel_weights(relative: Array, colour: Array, shading: Array) -> Array:
     """Return weights of the channels (3,), with sum 1, from their residuals (P, J, 3) relative to a point's colour."""
     off = np.median(np.abs(relative / colour[:, None] - shading[..., None]), axis=(0, 1))
-    weights = 1.0 / np.maximum(_TO_STD * off, _LEAST_NOISE) ** 2
+    weights = 1.0 / np.maximum(_TO_STD * off, TINY) ** 2
     return np.asarray(weights / weights.sum())
 
 
@@ -228,4 +228,4 @@ def _pixel_noise(grey: Array) -> float:
     apart = grey - grey.mean(axis=0)
     diagonal = 0.5 * (apart[:, 1:, 1:] - apart[:, :-1, 1:] - apart[:, 1:, :-1] + apart[:, :-1, :-1])
     squares = np.median(np.abs(diagonal), axis=(1, 2)) ** 2
-    return max(_TO_STD * float(np.sqrt(np.mean(squares) / (1.0 - 1.0 / len(grey)))), _LEAST_NOISE)
+    return max(_TO_STD * float(np.sqrt(np.mean(squares) / (1.0 - 1.0 / len(grey)))), TINY)

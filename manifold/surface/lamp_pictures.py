@@ -20,13 +20,13 @@ from manifold.estimate.picture_colours import colour_of, odd_picture, reading_at
 from manifold.formats.readings import Readings
 from manifold.formats.workbook_pictures import picture_directions, picture_geometry, picture_values
 
-_LEAST_LAMPS = 3
+_LEAST_LAMPS = 3  # for albedo and two slopes
 _LEAST_SIZE = 32  # pixels a side
 _MOST_PIXELS = 12_000_000  # of a picture
 _MOST_TOGETHER = 64_000_000  # pixels of all pictures, of which an estimate takes 4 GB
 _DETAIL_PX = 3.0  # what is finer registers the colours
 _MOST_SHIFT_PX = 2.0
-_SHIFT_STEP_PX = 0.05
+_SHIFT_STEP_PX = 0.05  # of the search; colours of an MA-T12 are up to 0.9 px apart
 _LEAST_CORRELATION = 0.3  # of fine detail between two channels, to register them
 _HALF_CODE = 0.5 / 255.0
 _ABOVE = float(np.cos(np.deg2rad(1.0)))  # least cosine of a camera above the sample

@@ -23,7 +23,9 @@ from manifold.core.records import Array, Indices
 _CELL_PX = 96  # of the grid
 _OVERLAP_PX = 32  # of neighbouring patches
 _JITTER = 1.0 / 6.0  # of a cell: marks of patches do not stand in rows
-_CANDIDATES = 64  # random places of a patch, of which the one is taken that was used least
+CANDIDATES = 64
+"""Random places, of which the best replaces dust, or becomes a patch: more repeat marks of the sample."""
+
 _SMOOTH_PX = 1.0  # standard deviation of the smoothing of differences along which seams run
 _USE = 1.0 / 16.0  # weight of a place's use against the difference across a seam
 _SEAM_PX = 2.0  # standard deviation of the blend of fine detail
@@ -143,7 +145,7 @@ def _least_used(uses: Array, rows: Indices, columns: Indices, rng: np.random.Gen
     weight = _ramp(height, _OVERLAP_PX)[:, None] * _ramp(width, _OVERLAP_PX)
     # Beyond the sample and back: its edges are reached by few places.
     tops, lefts = (
-        np.clip(rng.integers(-_OVERLAP_PX, room + _OVERLAP_PX + 1, _CANDIDATES), 0, room)
+        np.clip(rng.integers(-_OVERLAP_PX, room + _OVERLAP_PX + 1, CANDIDATES), 0, room)
         for room in (h - height, w - width)
     )
     candidates = [

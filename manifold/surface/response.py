@@ -18,6 +18,7 @@ import numpy as np
 
 from manifold.brdf.interface import EvaluableBRDF
 from manifold.colour.conversion import to_srgb
+from manifold.core.defaults import DARKEST
 from manifold.core.records import Array
 from manifold.surface.lamp_pictures import SurfacePictures
 
@@ -28,7 +29,6 @@ _NOISE = np.array([0.177, 0.129, 0.095, 0.111, 0.105, 0.138])  # of ln N, standa
 _SLOPE_DIFFUSE, _THIRD_DIFFUSE, _NOISE_DIFFUSE = -0.126, -0.495, 0.081
 _REFERENCE_NOISE = 0.08  # of ln N, of the noise above in a bright channel
 _NODES = 15  # of quadrature, along each component of slope
-_DARK = 1e-3  # least linear value of a facet
 _GAINS = (0.5, 4.0)  # range of gains, which keeps slopes of a mirror-like completion finite
 
 CODE_NOISE = 0.012
@@ -105,7 +105,8 @@ def gain_of(brdf: EvaluableBRDF, pictures: SurfacePictures) -> float:
     weights = np.outer(weights, weights) / np.sum(weights) ** 2
     lamps = pictures.lamps[~pictures.is_diffuse]
     logs = [
-        np.log(np.maximum(shaded(brdf, slope, lamp, pictures.camera), _DARK)).mean(axis=-1) for lamp in lamps
+        np.log(np.maximum(shaded(brdf, slope, lamp, pictures.camera), DARKEST)).mean(axis=-1)
+        for lamp in lamps
     ]
     own = np.einsum("ab,jab,abk->jk", weights, logs, slope) / SLOPE_STD**2
     table = Response.of(lamps, np.ones((len(lamps), 3))).factors[:, :2]

@@ -19,19 +19,17 @@ from manifold.core.defaults import TINY
 from manifold.core.errors import UsageError
 from manifold.core.records import Array, Indices, Mask
 from manifold.surface.estimate import Surface
-from manifold.surface.quilting import quilt
+from manifold.surface.quilting import CANDIDATES, quilt
 
 _LEAST_SIZE, _MOST_SIZE = 192, 8192
 _MOST_EDGE = 0.125  # of a side, that may be cropped
 _EDGE_DIFFERENCE = 0.12  # of the median brightness of a row or column from the sample's: an aperture's shadow
 _DUST = 6.0  # robust standard deviations of smoothed colour
 _ALIKE = 4.0  # of spots that are compared with dust
-_DUST_PX = 2.0  # standard deviation of that smoothing
+_DUST_PX = 2.0  # standard deviation of that smoothing; dust is replaced within twice as much around it
 _MOST_DUST_PX = 1024  # area; what is larger is a part of the sample
 _FEW = 3  # spots of a colour, fewer than which do not tell how frequent they are
 _SAME_DIRECTION, _SAME_STRENGTH = 0.9, 0.4  # of differences from the sample's colour: cosine, and ratio
-_HEALED_PX = 4  # around dust, in which what replaces it is blended
-_PLACES = 64  # random places, of which the one most alike replaces dust
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,11 +184,11 @@ def blend(sample: Array, size: int, rng: np.random.Generator, *, avoided: Mask |
 def _healed(values: Array, avoided: Mask, rng: np.random.Generator) -> Array:
     """Return values (H, W, C) whose avoided pixels (H, W) are replaced by others of the sample that fit around them."""
     healed = values.copy()
-    for box in find_objects(label(binary_dilation(avoided, iterations=_HEALED_PX))[0]):
+    for box in find_objects(label(binary_dilation(avoided, iterations=int(2.0 * _DUST_PX)))[0]):
         is_bad = avoided[box]
         height, width = is_bad.shape
-        tops = rng.integers(0, len(values) - height + 1, _PLACES).tolist()
-        lefts = rng.integers(0, values.shape[1] - width + 1, _PLACES).tolist()
+        tops = rng.integers(0, len(values) - height + 1, CANDIDATES).tolist()
+        lefts = rng.integers(0, values.shape[1] - width + 1, CANDIDATES).tolist()
         places = [
             np.s_[top : top + height, left : left + width] for top, left in zip(tops, lefts, strict=True)
         ]
@@ -199,7 +197,7 @@ def _healed(values: Array, avoided: Mask, rng: np.random.Generator) -> Array:
             key=lambda place: (np.sum(avoided[place]), np.mean((values[place] - values[box])[~is_bad] ** 2)),
         )
         distance = distance_transform_edt(~is_bad)
-        weight = np.clip(1.0 - distance / _HEALED_PX, 0.0, 1.0)[..., None]
+        weight = np.clip(1.0 - distance / (2.0 * _DUST_PX), 0.0, 1.0)[..., None]
         healed[box] += weight * (values[best] - healed[box])
     return healed
 

@@ -18,12 +18,12 @@ from manifold.fit.exports.principled_values import snapped
 from manifold.fit.exports.targets import Target
 from manifold.fit.fit_metrics import Criterion
 from manifold.fit.fit_samples import FitSamples
+from manifold.fit.identifiability import BOUND
 
 _PAIRS = 512
 _COAT, _COAT_ROUGHNESS = 0.3, 0.6  # of the second start: long tails come from a rough coat
 _EVALUATIONS = 40
 _STEP = float(np.sqrt(np.finfo(float).eps))  # of differences
-_NONE = 2e-3  # a coat, a sheen or a film below this weight is none
 _GAIN = 0.8  # a film, curve or colour of a sheen that is kept lowers squared residual and difference below this share
 _FILM_WEIGHT, _FILM_IORS = 0.5, (1.3, 1.8)  # of its starts
 _FILM_THICKNESSES = np.arange(150, 1001, 50) / 1200.0  # of the thickest
@@ -272,6 +272,6 @@ class _Problem:
                 value = made[name]
                 made[name] = list(map(snapped, value)) if isinstance(value, list) else snapped(value)
         for names in (target.coat, target.sheen, target.film):
-            if names and np.max(made[names[0]]) < _NONE:
+            if names and np.max(made[names[0]]) < BOUND:
                 made |= {name: target.entries[name].default for name in names}
         return made

@@ -162,6 +162,15 @@ def test_angles_in_radians_below_heads_of_degrees_are_noted(unit, read):
     assert doubts(along) == []
 
 
+@pytest.mark.parametrize(("turn", "said"), [(1.0, "3.14"), (2.0, "6.28"), (0.04, "")])
+def test_azimuths_in_radians_beside_thetas_in_degrees_are_noted(turn, said, read):
+    pairs = [(45, 20, 0), (45, 20, 1.57 * turn), (45, 60, 3.14 * turn), (30, 10, 0)]
+    head = "theta_i (deg),theta_o (deg),phi_o (deg),BRDF 500nm\n"
+    found = read(head + "".join(f"{i},{o},{phi},0.1\n" for i, o, phi in pairs))
+    expected = f"all azimuths are within {said} degrees of the plane of incidence: are they radians?"
+    assert doubts(found) == [expected] * bool(said)
+
+
 def test_lightness_from_0_to_1_is_noted_in_tables_and_lists(read, tmp_path):
     """It was a black paint."""
     rows = "".join(f"45as{a},{L},0.3,0.2\n" for a, L in ((15, 0.58), (25, 0.53), (110, 0.48)))

@@ -1,6 +1,7 @@
 """Doubts about the pixels of photographs: saturation below the largest code, and pictures read in the wrong encoding.
 
-    python benchmarks/bench_pixels.py FILES [--set FOLDER] [--every N] [--json FILE]
+    python benchmarks/bench_pixels.py FILES [--set FOLDER] [--every N] [--json FILE]     # saturation
+    python benchmarks/bench_pixels.py FILES --encodings [--every N] [--json FILE]
 
 Each .bsdf file is rendered as a ball under lamps, and stored in four forms: 14 bits in 16, 8 bits whose level is code
 243, floats with 1 % noise after an interpolation of colours, and JPEG.
@@ -16,7 +17,7 @@ how often `photograph` advises to read them otherwise, and how often it blames a
 state how often it advises to read three pictures of a ball otherwise.
 
 A set is a folder of real pictures of a ball under lamps: gray/*.png, chrome/*.png, lights.txt. Its figures are rates of
-plateaus in the pictures as they are, and after clipping at one half of the peak.
+plateaus in the pictures as they are, and after clipping at one half of the largest code.
 """
 
 from __future__ import annotations
@@ -172,6 +173,16 @@ def bounds(files: Sequence[Path], pictures: Sequence[Array], folder: Path) -> di
     return {name: [float(np.median(v)), float(np.percentile(v, 90))] for name, v in errors.items()}
 
 
+def in_environments(files: Sequence[Path]) -> list[Array]:
+    """Return balls of files in the environments of the package."""
+    view = {"margin": MARGIN, "turn_deg": 0.0, "elevation_deg": 0.0, "distance": np.inf}
+    return [
+        render_floating_ball(file, True, environment(name).astype(float), size=SIZE, samples=32, **view)
+        for file in files
+        for name in ENVIRONMENTS
+    ]
+
+
 # -- encoding ---------------------------------------------------------------------------------------------------------
 
 
@@ -193,7 +204,7 @@ def encodings(balls: Sequence[Sequence[Array]], folder: Path) -> dict[str, Any]:
             found[key] = {name: _share(values) for name, values in rows.items()}
             found[key] |= {
                 "pictures": len(rows["hints_off_by_0"]),
-                "refused": len(balls) - len(rows["hints_found"]),
+                "refused": len(balls) - len(rows.get("hints_found", [])),
             }
             print(f"{key:24}", *(f"{name} {value:.3g}" for name, value in found[key].items()), flush=True)
     return found
@@ -204,10 +215,10 @@ def _doubts(files: Sequence[Path], rng: np.random.Generator) -> Iterator[tuple[s
     for off in OFF_DEG:
         for file, lamp in list(zip(files, LAMPS, strict=True))[: 1 if off else None]:
             given = ",".join(f"{v:.6f}" for v in _turned(np.array(lamp), off, rng))
-            (ball,) = see(PhotoRequest([file], lamps=[given], each=None))
+            (ball,) = see(PhotoRequest([file], circles=[str(CIRCLE)], lamps=[given], each=None))
             yield f"off_by_{off:g}", bool(ball.warnings), any("looks lit from" in note for note in ball.notes)
     try:
-        ball, *_ = see(PhotoRequest(files, lamps=["found"], each=None))
+        ball, *_ = see(PhotoRequest(files, circles=[str(CIRCLE)], lamps=["found"], each=None))
     except UsageError:  # no single lamp explains the pictures
         return
     yield "found", bool(ball.warnings), False
@@ -277,6 +288,7 @@ def main() -> None:
     )
     parser.add_argument("folder", type=Path, help="of .bsdf files of the built-in library")
     parser.add_argument("--set", type=Path, help="folder of real pictures of a ball")
+    parser.add_argument("--encodings", action="store_true", help="in place of saturation")
     parser.add_argument("--every", type=int, default=1, help="one file in this many")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
@@ -286,20 +298,15 @@ def main() -> None:
     for file in files:
         brdf = MeasuredBRDF(read_bsdf(file))
         balls.append([np.maximum(lamp_picture(brdf, Camera(), [one], SIZE, MARGIN), 0.0) for one in lamps])
-    view = {"margin": MARGIN, "turn_deg": 0.0, "elevation_deg": 0.0, "distance": np.inf}
-    lit = [
-        render_floating_ball(file, True, environment(name).astype(float), size=SIZE, samples=32, **view)
-        for file in files
-        for name in ENVIRONMENTS
-    ]
     with TemporaryDirectory() as folder:
         work = Path(folder)
-        found = {
-            "files": len(files),
-            "saturation": saturation([picture for ball in balls for picture in ball], lit, work),
-            "bounds": bounds(files, [ball[1] for ball in balls], work),
-            "encoding": encodings(balls, work),
-        }
+        found: dict[str, Any] = {"files": len(files)}
+        if options.encodings:
+            found |= encodings(balls, work)
+        else:
+            pictures = [picture for ball in balls for picture in ball]
+            found["saturation"] = saturation(pictures, in_environments(files), work)
+            found["bounds"] = bounds(files, [ball[1] for ball in balls], work)
         if options.set is not None:
             found["set"] = real(options.set, work)
     if options.json:

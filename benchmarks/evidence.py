@@ -150,6 +150,8 @@ RESULTS = {
     "photo": Result("bench_photo.py FILES"),
     "built_in_photo": Result("bench_photo.py built-in --lights studio"),
     "together": Result("bench_photo.py FILES --lights studio --together"),
+    "pixels": Result("bench_pixels.py FILES --every 2"),
+    "encodings": Result("bench_pixels.py FILES --encodings --every 4"),
     "lamps": Result("bench_lamps.py --files FILES --library LIBRARY --lights sun --every 2"),
     "surface": Result("bench_surface.py WORKBOOK_FOLDER LIBRARY"),
     "stability": Result("manifold stability", ("manifold/study/stability",)),

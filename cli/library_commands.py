@@ -172,7 +172,7 @@ def import_(
     Materials are added atomically; those already in the library are skipped.
     """
     from manifold.core.defaults import COMPACT_TOLERANCE
-    from manifold.library.importing import import_files
+    from manifold.library.importing import import_files, readings_note
 
     if tolerance is not None and not compact:
         raise UsageError(
@@ -192,6 +192,7 @@ def import_(
             "replaced": len(result.replaced),
             "already present": len(result.skipped),
             "failed": len(result.failed),
+            **({"not imported": readings_note(result.readings)} if result.readings else {}),
         },
     )
     results.document({"library": library, **vars(result)})

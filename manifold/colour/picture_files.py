@@ -196,10 +196,8 @@ def _coding(path: Path, space: ColourSpace, kind: str, stored: str, is_linear: b
             f"{name}: read as {space.name}; {tone}; the file states no encoding, add --linear if it is linear"
         )
         return _Coding(SRGB.curves or (), False, True, (words,))
-    if stored == "uint16":
-        words = f"{name}: read as linear; the file states no encoding, add --encoded if it is encoded"
-        return _Coding((), False, True, (words,))
-    return _Coding((), False, True, ())
+    words = f"{name}: read as linear; the file states no encoding, add --encoded if it is encoded"
+    return _Coding((), False, True, (words,))
 
 
 def _read_raw(path: Path, finds_plateaus: bool) -> Image:

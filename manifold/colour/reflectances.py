@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.machinery import PathFinder
@@ -21,6 +22,10 @@ from manifold.formats.spectra import read_spectrum
 BEYOND_COLOURS = 0.15
 """Share of a colour's norm by which it may lie beyond the colours of reflectances; fluorescent paints reach 0.14."""
 _VISIBLE_NM = (400.0, 700.0)
+_MOST_NOISY = 1.5  # larger values are no noise of a white: per cent, or codes
+_DARKEST = 0.01  # reflectance of the darkest materials but special blacks
+_LARGEST_GAP_NM = 100.0  # between wavelengths, without a note
+_UNEVEN = 3.0  # least ratio of a gap that is noted to the usual one
 _NORMALS = 1000  # of the solid of colours
 _LEAST_NORM = 0.01  # darker colours are compared with this norm, because their readings are uncertain
 
@@ -115,6 +120,10 @@ def srgb_spectra(bands: Bands) -> Array:
     return frozen(np.stack([np.interp(at, nm, values) for nm, values in primaries]))
 
 
+class DoubtfulSpectrumWarning(UserWarning):
+    """A reflectance spectrum probably has another scale, or lacks a part."""
+
+
 @dataclass(frozen=True)
 class ReflectanceSpectrum:
     """A reflectance spectrum, linear between its wavelengths and constant beyond them.
@@ -140,9 +149,11 @@ class ReflectanceSpectrum:
                 f"{self.name}: wavelengths do not increase, expected different, finite ones in nm; sort them"
             )
         if not np.all((values >= 0) & (values <= 1)):
+            remedy = (
+                "divide percent by 100" if values.max() > _MOST_NOISY else "set noise beyond them to 0 or 1"
+            )
             raise UsageError(
-                f"{self.name}: reflectances from {values.min():g} to {values.max():g}, expected 0 to 1; "
-                "divide percent by 100"
+                f"{self.name}: reflectances from {values.min():g} to {values.max():g}, expected 0 to 1; {remedy}"
             )
         low, high = _VISIBLE_NM
         if min(nm[-1], high) - max(nm[0], low) < 0.5 * (high - low):
@@ -175,7 +186,23 @@ def read_reflectance(path: Path, bands: Bands) -> Array:
         spectrum = ReflectanceSpectrum(tuple(nm.tolist()), tuple(values.tolist()), str(path))
     except UsageError as error:
         raise FileFormatError(str(error)) from error
+    for doubt in _doubts(nm, values):
+        warnings.warn(f"{path}: {doubt}", DoubtfulSpectrumWarning, stacklevel=2)
     return spectrum.in_bands(bands)
+
+
+def _doubts(nm: Array, values: Array) -> list[str]:
+    """Return sentences about a spectrum that is darker than materials are, or lacks a part of the visible range."""
+    doubts = []
+    if 0.0 < values.max() <= _DARKEST:
+        doubts.append(
+            f"reflectances of at most {100.0 * values.max():.2g} %: if they are fractions, name no per cent"
+        )
+    seen = np.clip(nm, *_VISIBLE_NM)
+    steps, k = np.diff(seen), int(np.argmax(np.diff(seen)))
+    if steps[k] > max(_LARGEST_GAP_NM, _UNEVEN * float(np.median(np.diff(nm)))):
+        doubts.append(f"no reflectances between {nm[k]:g} and {nm[k + 1]:g} nm, where they are interpolated")
+    return doubts
 
 
 @lru_cache(maxsize=1)

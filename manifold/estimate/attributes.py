@@ -38,7 +38,7 @@ from manifold.core.errors import UsageError
 from manifold.core.judged_lights import LIGHTS
 from manifold.core.pairs import Pairs
 from manifold.core.records import Array, Bands, plain
-from manifold.estimate.gloss import gloss_units, half_gloss_meter
+from manifold.estimate.gloss import gloss_units
 from manifold.formats.readings import DAYLIGHT, GLOSS_ANGLES_DEG, NO_GLOSS, GlossUnits, Readings, gloss_fault
 from manifold.library.store import Library
 from manifold.model.blend_space import require_blends
@@ -79,24 +79,6 @@ class Wanted:
         return present + self.value if self.is_relative else self.value
 
 
-@dataclass(frozen=True)
-class Slider:
-    """A slider of the page, which searches the map for a value of one attribute.
-
-    Attributes:
-        name: identifier of the slider; it must differ from the names of the colour coordinates.
-        label, unit: texts beside the slider.
-        decades: decimal logarithms of the values at the ends of the slider.
-        meter: a coarse measurement on one side of the plane of incidence: wi and wo (P, 3), and units per 1/sr (P,).
-    """
-
-    name: str
-    label: str
-    unit: str
-    decades: tuple[float, float]
-    meter: Callable[[], tuple[Array, Array, Array]]
-
-
 @dataclass(frozen=True, eq=False)
 class Attribute:
     """An attribute that users can request of a material.
@@ -112,7 +94,6 @@ class Attribute:
             `COLOUR_TOLERANCE`.
         angle_deg: angle of a gloss attribute, which is changed by another coat; None for other attributes.
         period: period of the values; values that differ by it are equal.
-        slider: slider on the page; None if the page has no slider or its own one for it.
     """
 
     key: str
@@ -124,7 +105,6 @@ class Attribute:
     tolerance: float = GLOSS_TOLERANCE
     angle_deg: float | None = None
     period: float | None = None
-    slider: Slider | None = None
 
     def value(self, wanted: Wanted, present: float) -> float:
         """Return the requested value, given the material's present value. Raises UsageError for an impossible value."""
@@ -132,9 +112,6 @@ class Attribute:
         if (fault := self.fault(value)) is not None:
             raise UsageError(fault)
         return value if self.period is None else value % self.period
-
-
-_GLOSS_SLIDER = Slider("gloss", "gloss at 60°", "GU", (-1.0, 3.0), lambda: half_gloss_meter(60))
 
 
 def _gloss(angle: float) -> Attribute:
@@ -146,7 +123,7 @@ def _gloss(angle: float) -> Attribute:
     return Attribute(
         f"gloss_{angle:g}", f"gloss at {angle:g} degrees", "gloss {:.3g} at " + f"{angle:g} degrees",
         ("gloss", f"{angle:g}"), lambda brdf: gloss_units(brdf, [angle])[angle], fault,
-        angle_deg=angle, slider=_GLOSS_SLIDER if angle == 60.0 else None,
+        angle_deg=angle,
     )  # fmt: skip
 
 
@@ -176,11 +153,6 @@ COLOUR = (
 """The attributes of a colour, in the order of its coordinates: CIELAB lightness, chroma, and hue in degrees."""
 ATTRIBUTES = {each.key: each for each in (*map(_gloss, GLOSS_ANGLES_DEG), *COLOUR)}
 """All attributes by key; a new attribute needs an entry here and an option in `cli.options.AttributeOptions`."""
-SLIDERS = tuple(each.slider for each in ATTRIBUTES.values() if each.slider is not None)
-"""Sliders of the page, from the top.
-
-The page also searches for words such as "matte" by the first, gloss at 60 degrees.
-"""
 
 
 @dataclass(frozen=True)

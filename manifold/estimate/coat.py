@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import time
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -55,6 +56,7 @@ from manifold.formats import column_heads
 from manifold.formats.column_heads import gloss_angle
 from manifold.formats.readings import DAYLIGHT, GLOSS_ANGLES_DEG, GlossUnits, Viewing, gloss_fault
 from manifold.formats.text import CORRECT_CELL, data_lines, decode, list_rows, number, with_whole_name
+from manifold.formats.values import lightness_doubts
 from manifold.library.store import Library
 from manifold.model.decoding import integrating_sphere
 from manifold.model.output_file import COMPLETION_OPTIONS, OutputOptions, require_bsdf_output, write_checked
@@ -65,6 +67,10 @@ _INDICES, _ALPHAS = (1.05, 1.8), (0.01, 1.0)
 _STARTS = (0.015, 0.03, 0.06, 0.12, 0.24, 0.5)  # roughness alpha at the start
 _EVALUATIONS = 15
 _ROUNDING = 0.02  # difference of log gloss that weighs as much as `COLOUR_TOLERANCE` in CIELAB
+
+
+class DoubtfulColoursWarning(UserWarning):
+    """A list of colours probably has another scale."""
 
 
 @dataclass(frozen=True)
@@ -398,11 +404,8 @@ def read_colours(path: Path, gloss: GlossUnits, viewing: Viewing | None = None) 
         samples[name] = ColourSample(name, (float(lab[0]), float(lab[1]), float(lab[2])), {**gloss, **own})
     if not samples:
         raise FileFormatError(f"{path}: no colours below the header, {_EXPECTED}")
-    lightest = max(sample.lab[0] for sample in samples.values())
-    if 0.0 < lightest <= 1.0:
-        raise FileFormatError(
-            f"{path}: L* of at most {lightest:.2g}, expected 0 to 100; multiply fractions by 100"
-        )
+    for doubt in lightness_doubts(max(sample.lab[0] for sample in samples.values())):
+        warnings.warn(f"{path}: {doubt}", DoubtfulColoursWarning, stacklevel=2)
     return list(samples.values())
 
 

@@ -199,6 +199,8 @@ def given_outline_notes(photographs: Sequence[Photograph], circle: Circle) -> tu
     """Return a warning about a given outline if the edges near it lie on another circle."""
     shown, factor = _display(photographs)
     grey, given = _grey(shown), circle.scaled(1.0 / factor)
+    if given.radius < _LEAST_RADIUS:  # its edges are a few pixels
+        return ()
     edges = _through_edges(grey, given)
     off = max(float(np.hypot(edges.x - given.x, edges.y - given.y)), abs(edges.radius - given.radius))
     share = _share_of_edges(grey, edges)
@@ -265,7 +267,8 @@ def find_outlines(display: Array, where: str) -> list[Outline]:
     # A highlight on a dark ball has the sharper edge, but lies within the outline.
     larger = [one for _, one in found if _encloses(one.scaled(1.0 / factor), circle)]
     around = [_refined(smooth, one, 1.0 / factor) for one in larger[:_REFINED]]
-    support, enclosing = max(around, key=lambda pair: pair[0], default=(0.0, circle))
+    still = [pair for pair in around if _encloses(pair[1], circle)]
+    support, enclosing = max(still, key=lambda pair: pair[0], default=(0.0, circle))
     if support >= _LEAST_SUPPORT and _is_within(enclosing, grey):
         circle = enclosing
     both = [Outline(one, _share_of_edges(smooth, one)) for one in (circle, _through_edges(smooth, circle))]

@@ -18,6 +18,8 @@ _MANY_NEGATIVE = 0.3  # share of the values; noise of one dark band among three 
 _LARGE_NEGATIVE = 0.1  # share of the sum of sizes away from the mirror direction, where noise is far smaller
 # Least brightness near the mirror direction, relative to that elsewhere; 1.08 and more in 20 real materials.
 _DARK = 0.5
+_OBLIQUE = 0.01  # sine of theta from which a direction has an azimuth
+_ROUNDED = 0.006  # of numbers with two decimals: 3.14, 6.28
 # In radians: a right angle, whose number in radians was read as degrees, and its rounding.
 _STEEPEST = np.deg2rad(0.5 * np.pi + 0.03)
 
@@ -40,6 +42,8 @@ def with_doubts(record: Readings | DenseTable) -> Readings | DenseTable:
                 f"all directions are within {np.rad2deg(theta):.3g} degrees of the normal: are the angles radians?"
             )
         )
+    else:
+        notes += _on_azimuths(record.wi, record.wo)
     median = np.median(record.values, axis=1, keepdims=True)
     if is_too_bright(record.wi, record.wo, median):
         times = np.pi * float(np.nanmedian(median[is_diffuse(record.wi, record.wo)]))
@@ -52,6 +56,23 @@ def with_doubts(record: Readings | DenseTable) -> Readings | DenseTable:
     if noted is record:
         notes += _on_mirror(values[near], values[~near])
     return replace(noted, notes=(*noted.notes, *notes)) if notes else noted
+
+
+def _on_azimuths(wi: Array, wo: Array) -> list[str]:
+    """Return a note if the largest angle with the plane of incidence is pi/2, pi or 2 pi as a number of degrees."""
+    oblique = np.minimum(np.hypot(wi[:, 0], wi[:, 1]), np.hypot(wo[:, 0], wo[:, 1])) > _OBLIQUE
+    if not oblique.any():
+        return []
+    azimuths = (np.arctan2(w[oblique, 1], w[oblique, 0]) for w in (wo, wi))
+    between = np.abs(np.subtract(*azimuths)) % np.pi
+    largest = float(np.rad2deg(np.minimum(between, np.pi - between).max()))
+    if min(abs(largest - turn * np.pi) for turn in (0.5, 1.0, 2.0)) > _ROUNDED:
+        return []
+    return [
+        Assumption(
+            f"all azimuths are within {largest:.3g} degrees of the plane of incidence: are they radians?"
+        )
+    ]
 
 
 def _on_negative(values: Array, large: float) -> list[str]:

@@ -64,8 +64,8 @@ from manifold.formats.values import (
     assumed_unit,
     bands_of,
     bright_bands,
-    is_too_bright,
     lab_to_linear_srgb,
+    lightness_doubts,
     linear_srgb_to_xyz,
     relative_uncertainties,
     require_one_spectrum,
@@ -589,11 +589,7 @@ def read_table(
             f"colours are read as CIELAB under {columns.viewing}{of_whom}; they do not determine spectra"
         )
         rgb = np.concatenate([np.array(sample.values) for sample in samples.values()])
-        lightness = L_PER_Y * float(np.nanmax(linear_srgb_to_xyz(rgb)[:, 1], initial=0.0))
-        if lightness <= 1.0:
-            notes.append(
-                Assumption(f"L* is at most {lightness:.2g}, so black: multiply by 100 if it is a fraction")
-            )
+        notes += lightness_doubts(L_PER_Y * float(np.nanmax(linear_srgb_to_xyz(rgb)[:, 1], initial=0.0)))
     named = column_heads.sample_names(
         (dict(zip(columns.names, cells, strict=True)) for cells in samples), name
     )
@@ -844,7 +840,7 @@ def _doubtful(rows: list[str], heads: list[str], wi: Array, wo: Array, values: A
         named = first_few([rows[k] for k in negative], _NAMED_ROWS)
         notes.append(Assumption(f"{named}: negative values, which count as 0"))
     alone = np.flatnonzero(bright_bands(wi, wo, values))
-    if is_spectral and 0 < len(alone) < len(heads) and not is_too_bright(wi, wo, values):
+    if is_spectral and 0 < 2 * len(alone) < len(heads):
         named = first_few([heads[k] for k in alone], _NAMED_ROWS)
         notes.append(
             Assumption(

@@ -19,9 +19,9 @@ from manifold.brdf.consistency import check_consistency
 from manifold.brdf.orientation import rotation_of
 from manifold.core import progress, work
 from manifold.core.errors import LibraryError, ManifoldError, MissingFileError, UsageError
-from manifold.core.names import counted
+from manifold.core.names import counted, first_few
 from manifold.core.records import Bands
-from manifold.formats.recognition import is_rgl
+from manifold.formats.recognition import counts_as_readings, is_rgl
 from manifold.io_rgl import read_bsdf
 from manifold.library import staging
 from manifold.library.identity import (
@@ -56,6 +56,7 @@ class ImportResult:
         replaced: names of materials whose content was replaced, sorted.
         failed: reason why a file was not imported, by its path; all other files were imported.
         inconsistent: faults in the values of imported files, by path; see `brdf.consistency`.
+        readings: files in the given folders that hold readings, such as workbooks, sorted; they are not imported.
     """
 
     imported: tuple[str, ...]
@@ -63,6 +64,7 @@ class ImportResult:
     replaced: tuple[str, ...]
     failed: dict[str, str]
     inconsistent: dict[str, tuple[str, ...]]
+    readings: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -116,7 +118,8 @@ def import_files(
         require_tolerance(tolerance)
     if isinstance(rotation_rad, float) and not abs(rotation_rad) <= np.pi:
         raise UsageError(f"rotation is {rotation_rad:g}, expected -pi to pi, in radians")
-    paths = find_files([sources] if isinstance(sources, str | Path) else sources)
+    given = [Path(source) for source in ([sources] if isinstance(sources, str | Path) else sources)]
+    paths = find_files(given)
     require_folder(library_path)
     library = Path(library_path).expanduser().resolve()  # staging beside the library, not beside a link
     require_outside_libraries(library)
@@ -150,7 +153,19 @@ def import_files(
                 chosen = _choose(Library(library), loaded, replace, tolerance, report)
                 _store_all(library, chosen, staged, tolerance, workers, report)
                 staging.consolidate(library)
-    return report.result({str(source.path): source.findings for source in loaded if source.findings})
+    inconsistent = {str(source.path): source.findings for source in loaded if source.findings}
+    return changed(report.result(inconsistent), readings=tuple(_readings_in(given)))
+
+
+def readings_note(paths: Sequence[Path]) -> str:
+    """Return a text that names files with readings, and the command that reads them."""
+    return f"`manifold complete` reads the readings in {first_few([path.name for path in paths])}"
+
+
+def _readings_in(sources: Iterable[Path]) -> list[Path]:
+    """Return files with readings in the folders among sources, sorted."""
+    inside = (path for source in sources if source.is_dir() for path in _walk(source))
+    return sorted({path for path in inside if not is_rgl(path) and counts_as_readings(path)})
 
 
 def find_files(
@@ -170,7 +185,10 @@ def find_files(
                 path for path in _walk(source) if (path.is_file() or path.is_symlink()) and is_wanted(path)
             )
             if not inside:
-                raise MissingFileError(f"{source}: holds no {what}; name a folder that does, or the files")
+                remedy = "name a folder that does, or the files"
+                if is_wanted is is_rgl and (readings := _readings_in([source])):
+                    remedy = readings_note(readings)
+                raise MissingFileError(f"{source}: holds no {what}; {remedy}")
             found.update(dict.fromkeys(inside))
         elif source.exists():
             found[source] = None

@@ -1,10 +1,13 @@
-// Sliders of what people think in: readings of meters such as gloss, lightness, chroma and hue; methods of the page.
+// What people think in: sliders of lightness, chroma and hue, and the gloss with the command that changes it; methods of the page.
 
-import { lookOf } from "./state.js";
+import { fixed } from "./elements.js";
+import { isBetween } from "./state.js";
 import { fromLch, hexOf, labOfFactor, toLch, wordsFor } from "./colour.js";
 
 const LCH = ["lightness", "chroma", "hue"];
-const TURNS = 4; // of the search for a reading: that of blended colours is not that of the chosen ones
+
+/** A word of a command, in quotes where a shell would not take it as it is. */
+const quoted = (word) => (/^[\w.,:+-]+$/.test(word) ? word : `'${word.replaceAll("'", "'\\''")}'`);
 
 export const attributes = {
   listenToAttributes() {
@@ -16,40 +19,6 @@ export const attributes = {
       });
       this.byId(name).addEventListener("change", () => this.commit());
     });
-    for (const meter of this.materials.meters) {
-      const slider = this.addSlider(meter);
-      slider.addEventListener("input", () => this.setReading(meter, 10 ** Number(slider.value)));
-      slider.addEventListener("change", () => {
-        this.searchedFrom = null;
-        this.commit();
-      });
-    }
-  },
-
-  /** A slider of a meter, in decades, above that of the lightness. */
-  addSlider({ id, label, least, most }) {
-    const slider = Object.assign(document.createElement("input"), { id, type: "range", min: least, max: most, step: 0.02 });
-    const value = Object.assign(document.createElement("output"), { id: `${id}-value` });
-    value.setAttribute("aria-live", "off");
-    const row = Object.assign(document.createElement("label"), { className: "slider" });
-    row.append(`${label} `, slider, " ", value);
-    this.byId("lightness").parentElement.before(row);
-    return slider;
-  },
-
-  /** Go to the place nearest to where the slider was taken that has a reading, in the colour that was shown there. */
-  setReading(meter, wanted) {
-    const { colour } = this.state, keepsColour = colour === "blend" ? { colour: "lch", lch: this.attributesShown.lch } : {};
-    this.searchedFrom ??= { ...lookOf(this.state), ...keepsColour };
-    let { x } = this.searchedFrom, aim = wanted;
-    for (let turn = 0; turn < TURNS; turn++) {
-      x = this.map.clamped(this.materials.placeOf(meter, this.searchedFrom.x, aim));
-      const reached = this.predicted({ ...this.searchedFrom, x }).reading(meter);
-      if (Math.abs(Math.log(reached / wanted)) < 0.02) break;
-      aim *= wanted / reached;
-    }
-    this.wantedReading = { meter, wanted };
-    this.change({ ...this.searchedFrom, x, at: undefined, path: null }, false);
   },
 
   /** Of every material what a search knows: its name, words for its gloss and colour, and a text that says them; made once. */
@@ -63,7 +32,7 @@ export const attributes = {
     return this.searchWords;
   },
 
-  /** Lightness, chroma, hue and readings of what is shown, while their tab is. */
+  /** Lightness, chroma, hue and gloss of what is shown, while their tab is. */
   showAttributes() {
     if (this.tab !== "colour") return;
     const { state, prediction, data } = this;
@@ -76,20 +45,28 @@ export const attributes = {
       this.byId(name).setAttribute("aria-valuetext", text);
     };
     LCH.forEach((name, k) => show(name, asked[k], `${asked[k].toFixed(0)}${name === "hue" ? "°" : ""}`));
-    for (const meter of this.materials.meters) {
-      const reading = prediction.reading(meter);
-      show(meter.id, Math.log10(Math.max(reading, 1e-3)), `${Number(reading.toPrecision(2))} ${meter.unit}`);
-    }
-    const missed = [];
+    this.byId("gloss").textContent = `${Number(prediction.gloss().toPrecision(2))} GU`;
+    const command = this.glossCommand(state);
+    this.byId("gloss-command").replaceChildren(...command.split(" ").flatMap((word, k) => [
+      ...(k ? [" "] : []), Object.assign(document.createElement("span"), { textContent: word })]));
+    this.byId("gloss-note").hidden = !command;
     const apart = Math.hypot(...fromLch(asked).map((v, k) => v - fromLch(found)[k]));
-    if (apart > 2) missed.push(`colour: L ${found[0].toFixed(0)}, C ${found[1].toFixed(0)}, h ${found[2].toFixed(0)}° reached`);
-    if (this.searchedFrom) {
-      const { meter, wanted } = this.wantedReading, reading = prediction.reading(meter);
-      if (Math.abs(Math.log(reading / wanted)) > 0.05) {
-        missed.push(`${meter.id}: ${reading.toPrecision(2)} reached, ${wanted.toPrecision(2)} requested`);
-      }
-    }
-    this.byId("attributes-missed").textContent = missed.join("; ");
+    this.byId("attributes-missed").textContent = apart > 2
+      ? `colour: L ${found[0].toFixed(0)}, C ${found[1].toFixed(0)}, h ${found[2].toFixed(0)}° reached` : "";
+  },
+
+  /** The command that changes the gloss of a look; empty if no command makes the look. */
+  glossCommand(look) {
+    const { x, at, colour, like, srgb, spectrum, lch, path, without } = look;
+    if (without || colour === "own") return "";
+    const place = isBetween(look) ? `${path.from}:${path.to}:${fixed(path.t, 3)}` : at ?? x.map((v) => fixed(v, 4)).join(",");
+    const tint = {
+      blend: () => [], like: () => ["--like", like], picked: () => ["--srgb", srgb],
+      file: () => ["--reflectance", this.spectra[spectrum].name],
+      lch: () => LCH.flatMap((name, k) => [`--${name}`, fixed(lch[k], 1)]),
+    }[colour]();
+    const words = ["manifold", "predict", place, ...tint].map(quoted).join(" ");
+    return `${words} --gloss 60=VALUE -o edited_${this.data.wavelengths ? "spec" : "rgb"}.bsdf`;
   },
 
   /** A look's colour as commands take it, where it was set by attributes: {srgb} or {spectrum: rows of nm and reflectance}. */

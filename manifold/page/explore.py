@@ -71,15 +71,22 @@ def serve_until_interrupted(served: ExplorerServer, on_ready: Callable[[str], An
 
     `on_ready` is called with the address of the page.
     """
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.default_int_handler)
+    _handle_signals(signal.default_int_handler)
     try:
         on_ready(served.address)
         served.serve_forever()
     except KeyboardInterrupt:
         pass
     finally:
+        _handle_signals(signal.SIG_IGN)  # closing takes less than a second, and removes files
         served.server_close()
+        _handle_signals(signal.default_int_handler)
+
+
+def _handle_signals(handler: Any) -> None:
+    """Handle Ctrl-C, SIGTERM and SIGHUP in the same way."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, handler)
 
 
 def _load(model: Path, library: Path | None) -> Manifold:

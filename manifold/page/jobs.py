@@ -19,6 +19,7 @@ from tempfile import TemporaryDirectory
 from typing import IO, Any, cast
 
 from manifold.page.commands import Call
+from manifold.page.worker import INPUTS
 
 # -P: modules are not imported from the working folder, which holds files from elsewhere.
 WORKER = (sys.executable, "-P", "-W", "ignore", "-m", "manifold.page.worker")
@@ -113,7 +114,8 @@ class Queue:
     def _start(self) -> subprocess.Popen[bytes]:
         return subprocess.Popen(
             self._command, cwd=self.inputs, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-            start_new_session=True, env=os.environ | {"TMPDIR": str(self.inputs)},
+            start_new_session=True,
+            env=os.environ | {"TMPDIR": str(self.inputs), INPUTS: str(self.inputs)},
         )  # fmt: skip
 
     def _kill(self) -> None:

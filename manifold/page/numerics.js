@@ -7,7 +7,6 @@ const NEGLIGIBLE = 3e-4, NEIGHBOURS = 128; // as in manifold/model/blending.py
 const TABLE = 65, NEWTON_STEPS = 2, LARGEST_STEP = 0.02, PROBE = 1e-3; // as in manifold/model/colour_paths.py
 const LEAST_COMPONENT = 2e-5; // of a chosen colour: a weight that no picture shows
 const SHAPE_KEPT = 4, MOST_EXCESS = 3; // as in manifold/model/walks.py
-const WAYS = 6, BISECTIONS = 8, TANGENTS = 12, KEPT = 0.01; // steps of a search; of the logarithm of a reading: as good as reached
 const PATH_NODES = 8; // coordinates at which a spectral blend's colour path is followed: 0.1 CIEDE2000 beside all 32
 
 /** Weights of materials X (N, Q) at a place x (Q): never negative, of sum 1, a unit vector at a material. */
@@ -166,13 +165,9 @@ export class Materials {
       this._unpack(Math.floor(k / R), k % R, this.nGrid, this.nPairs, row, 0, 1);
     }
     const { slices } = data.pairs;
-    // Of the pairs beside the grid: those of the slices, of the meters, of the geometry 45/0, and of the sphere.
-    this.spotStart = slices.reduce((sum, slice) => sum + slice.angles.length, 0);
-    this.meters = data.pairs.meters.map((meter) => {
-      const start = this.spotStart;
-      this.spotStart += meter.weights.length;
-      return { ...meter, start };
-    });
+    // Of the pairs beside the grid: those of the slices, of the gloss meter, of the geometry 45/0, and of the sphere.
+    this.meterStart = slices.reduce((sum, slice) => sum + slice.angles.length, 0);
+    this.spotStart = this.meterStart + data.pairs.glossWeights.length;
     this.sphereStart = this.spotStart + 1;
     this.nBeside = beside;
     this.sphere = { start: this.sphereStart, measure: data.pairs.sphereMeasure };
@@ -345,70 +340,6 @@ export class Materials {
     return new Prediction(this, u, this._onPath(u, coordinates));
   }
 
-  /** What a meter reads of luminances of f times cosines at its pairs. */
-  reading({ weights, start }, luminance) {
-    const { amplitude } = this.data.pairs;
-    return weights.reduce((sum, w, k) => sum + (w * luminance[k]) / amplitude[start + k] ** 3, 0);
-  }
-
-  /** What a meter reads of the blend at a place. */
-  readingAt(meter, x) {
-    const { toSrgb, basis } = this.data, stop = meter.start + meter.weights.length;
-    const roots = this.wholeComponents(this.weights(x)).map((w) => this.combine(w, meter.start, stop));
-    const total = new Float32Array(meter.weights.length);
-    basis.forEach((row, j) => {
-      const share = luminance(toSrgb.D65[j]);
-      for (let p = 0; p < total.length; p++) {
-        total[p] += share * Math.max(row.reduce((sum, w, m) => sum + w * roots[m][p], 0), 0) ** 3;
-      }
-    });
-    return this.reading(meter, total);
-  }
-
-  /** The place nearest to a start, on the way to some material, whose blend has a reading; else that with the nearest one. */
-  placeOf(meter, start, wanted) {
-    const off = (x) => Math.log(Math.max(this.readingAt(meter, x), 1e-3) / wanted), { X } = this.data;
-    const along = (end, t) => start.map((v, q) => v + t * (end[q] - v));
-    let best = { x: start, off: Math.abs(off(start)), distance: Infinity };
-    const first = off(start);
-    for (const end of X) {
-      let before = { t: 0, off: first };
-      for (let step = 1; step <= WAYS; step++) {
-        const after = { t: step / WAYS, off: off(along(end, step / WAYS)) };
-        let found = after;
-        if (before.off * after.off <= 0) {
-          let [low, high] = [before, after];
-          for (let k = 0; k < BISECTIONS; k++) {
-            const t = 0.5 * (low.t + high.t), middle = { t, off: off(along(end, t)) };
-            if (middle.off * low.off <= 0) high = middle; else low = middle;
-          }
-          found = high;
-        }
-        const x = along(end, found.t), distance = Math.hypot(...x.map((v, q) => v - start[q])), apart = Math.abs(found.off);
-        const isNear = Math.max(apart, KEPT) < Math.max(best.off, KEPT);
-        if (isNear || (apart <= KEPT && distance < best.distance)) best = { x, off: apart, distance };
-        if (before.off * after.off <= 0) break;
-        before = after;
-      }
-    }
-    return best.off <= KEPT ? this._nearer(best.x, start, off) : best.x;
-  }
-
-  /** A place where `off` is 0 as nearly as at x, nearer to a start: steps to the nearest point of the tangent of such places. */
-  _nearer(x, start, off) {
-    const distance = (place) => Math.hypot(...place.map((v, q) => v - start[q]));
-    let best = x;
-    for (let step = 0; step < TANGENTS; step++) {
-      const here = off(x);
-      const slope = x.map((_, q) => (off(x.map((v, k) => v + (k === q ? 1e-3 : 0))) - here) / 1e-3);
-      const steep = slope.reduce((sum, v) => sum + v * v, 0) || 1;
-      const by = (slope.reduce((sum, v, q) => sum + v * (x[q] - start[q]), 0) - here) / steep;
-      x = x.map((v, q) => 0.5 * (v + start[q] + by * slope[q]));
-      if (Math.abs(off(x)) <= KEPT && distance(x) < distance(best)) best = x;
-    }
-    return best;
-  }
-
   /** Share of material b at t of the walk from a. */
   walkShare(a, b, t) {
     if (a < b) return 1 - this.walkShare(b, a, 1 - t);
@@ -505,14 +436,10 @@ export class Prediction {
     });
   }
 
-  /** What a meter reads of the luminance under D65. */
-  reading(meter) {
-    return this.materials.reading(meter, this.luminance("D65").subarray(meter.start));
-  }
-
-  /** Gloss units at 60 degrees: the first meter. */
+  /** Gloss units at 60 degrees, of the luminance under D65. */
   gloss() {
-    return this.reading(this.materials.meters[0]);
+    const { data: { pairs: { glossWeights, amplitude } }, meterStart } = this.materials, luminance = this.luminance("D65");
+    return glossWeights.reduce((sum, w, k) => sum + (w * luminance[meterStart + k]) / amplitude[meterStart + k] ** 3, 0);
   }
 
   /** Reflectance factor in the geometry 45/0 at the nodes (J). */

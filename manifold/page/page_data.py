@@ -26,7 +26,6 @@ from manifold.core.errors import UsageError
 from manifold.core.judged_lights import BALL, LIGHTS
 from manifold.core.pairs import Pairs
 from manifold.core.records import Array, Bands, Indices, evenly_spaced
-from manifold.estimate.attributes import SLIDERS
 from manifold.model.blend_space import BlendSpace, require_blends
 from manifold.model.expected_error import COARSE_BELOW
 from manifold.model.manifold import Manifold
@@ -189,13 +188,7 @@ def to_document(
         "pairs": {
             "amplitude": _rounded(pairs.amplitude[pairs.n_grid :]), "grid": pairs.n_grid,
             "count": len(pairs.wi),
-            "meters": [
-                {
-                    "id": slider.name, "label": slider.label, "unit": slider.unit, "least": slider.decades[0],
-                    "most": slider.decades[1], "weights": _rounded(weights),
-                }
-                for slider, weights in zip(SLIDERS, pairs.meter_weights, strict=True)
-            ],
+            "glossWeights": _rounded(pairs.gloss_weights),
             "sphereMeasure": pairs.sphere_measure.tolist(),
             "slices": [
                 {"incidence": i, "angles": a.tolist()}

@@ -9,7 +9,7 @@ import numpy as np
 from manifold.brdf.plausibility import mirrored_quadrature
 from manifold.core.directions import from_rusinkiewicz, from_spherical
 from manifold.core.records import Array
-from manifold.estimate.attributes import SLIDERS
+from manifold.estimate.gloss import half_gloss_meter
 from manifold.model.decoding import REFLECTANCE_INCIDENCE_DEG
 
 SLICE_INCIDENCES_DEG = (20.0, 40.0, 60.0)
@@ -49,12 +49,12 @@ def largest_theta_d(theta_h: Array, phi_d: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class TabulatedPairs:
-    """All direction pairs of a page: first the grid, then slices, meters, 45/0, and the integrating sphere.
+    """All direction pairs of a page: first the grid, then slices, the gloss meter, 45/0, and the integrating sphere.
 
     Attributes:
         wi, wo: unit vectors, shape (P, 3).
         slice_angles_deg: angles of wo from the normal, towards the mirror direction, for each incidence.
-        meter_weights: for every slider, units per 1/sr at the pairs of its meter.
+        gloss_weights: gloss units per 1/sr at the pairs of the gloss meter at 60 degrees.
         sphere_measure: weights that integrate values at the last pairs to a reflectance.
         n_grid: number of pairs of the grid.
     """
@@ -62,7 +62,7 @@ class TabulatedPairs:
     wi: Array
     wo: Array
     slice_angles_deg: tuple[Array, ...]
-    meter_weights: tuple[Array, ...]
+    gloss_weights: Array
     sphere_measure: Array
     n_grid: int
 
@@ -75,12 +75,12 @@ class TabulatedPairs:
 def tabulated_pairs() -> TabulatedPairs:
     """Return the pairs of a page, on one side only; materials are tabulated as the mean of both sides."""
     wi, wo = [], []
-    meters = [slider.meter() for slider in SLIDERS]
+    meter_wi, meter_wo, gloss_weights = half_gloss_meter(60)
     spot = from_spherical(np.pi / 4, 0.0)[None], from_spherical(0.0, 0.0)[None]
     for directions in (
         grid_directions(),
         *map(_slice, SLICE_INCIDENCES_DEG),
-        *(meter[:2] for meter in meters),
+        (meter_wi, meter_wo),
         spot,
     ):
         wi.append(directions[0])
@@ -93,8 +93,7 @@ def tabulated_pairs() -> TabulatedPairs:
     wo.append(sphere_wo)
     angles = tuple(_slice_angles(incidence) for incidence in SLICE_INCIDENCES_DEG)
     measure = 2.0 * measure[one_side] * sphere_wo[:, 2]
-    weights = tuple(meter[2] for meter in meters)
-    return TabulatedPairs(np.vstack(wi), np.vstack(wo), angles, weights, measure, len(wi[0]))
+    return TabulatedPairs(np.vstack(wi), np.vstack(wo), angles, gloss_weights, measure, len(wi[0]))
 
 
 def _slice_angles(incidence_deg: float) -> Array:

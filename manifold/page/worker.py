@@ -10,6 +10,7 @@ import json
 import os
 import pickle
 import select
+import shutil
 import signal
 import sys
 import threading
@@ -19,6 +20,9 @@ from typing import Any
 
 from manifold.core import progress
 from manifold.core.errors import in_words
+
+INPUTS = "MANIFOLD_EXPLORE_INPUTS"
+"""Environment variable of the server's temporary folder, which the worker removes if the server was killed."""
 
 
 def serve(run: Callable[[str, dict[str, Any]], dict[str, Any]]) -> None:
@@ -37,6 +41,7 @@ def serve(run: Callable[[str, dict[str, Any]], dict[str, Any]]) -> None:
         try:
             command, arguments = pickle.load(sys.stdin.buffer)
         except EOFError:
+            _remove_inputs()
             return
         try:
             with progress.listen(lambda *step: reply(step)):
@@ -53,7 +58,14 @@ def _end_with_server(replies: int) -> None:
     poll = select.poll()
     poll.register(replies, 0)  # which tells only that the other end was closed
     poll.poll()
+    _remove_inputs()
     os.killpg(os.getpgrp(), signal.SIGTERM)
+
+
+def _remove_inputs() -> None:
+    """Remove the temporary folder of a server that was killed."""
+    if folder := os.environ.get(INPUTS):
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _main() -> None:

@@ -7,9 +7,9 @@ import pytest
 import tifffile
 from PIL import Image
 
-from manifold.colour.conversion import decode_srgb
+from manifold.colour.conversion import decode_srgb, encode_srgb
 from manifold.core.errors import FileFormatError, UsageError
-from manifold.estimate.outlines import Circle, find_outlines, read_photograph
+from manifold.estimate.outlines import Circle, find_outlines, given_outline_notes, read_photograph
 from manifold.render import images
 
 
@@ -129,6 +129,32 @@ def test_a_picture_without_a_ball_is_refused(rng):
         find_outlines(0.5 + 0.05 * rng.standard_normal((100, 100, 3)), "noise.png")
     with pytest.raises(UsageError, match="no ball found"):
         find_outlines(np.full((100, 100, 3), 0.5), "flat.png")
+
+
+def test_ball_with_a_small_highlight_is_found_beside_a_card(rng):
+    """A circle around the ball shrank to a few pixels on its rim when it was refined."""
+    ball = Circle(330.0, 170.0, 70.0)
+    y, x = np.mgrid[:320, :480] + 0.5
+    normal = np.stack([(x - ball.x) / 70.0, (ball.y - y) / 70.0, np.zeros(x.shape)])
+    inside = np.hypot(*normal[:2]) < 1.0
+    normal[2] = np.sqrt(np.maximum(1.0 - normal[0] ** 2 - normal[1] ** 2, 0.0))
+    lamp = np.array([0.5, 0.3, 1.0]) / np.linalg.norm([0.5, 0.3, 1.0])
+    half = (lamp + np.eye(3)[2]) / np.linalg.norm(lamp + np.eye(3)[2])
+    lit, highlight = (np.maximum(np.tensordot(w, normal, 1), 0.0) for w in (lamp, half))
+    picture = np.where(inside, 0.6 * lit + highlight**200, 0.02)
+    picture[110:170, 40:100] = 0.5 * lamp[2]
+    picture *= 1.0 + 0.01 * rng.standard_normal(picture.shape)
+    shown = encode_srgb(np.clip(picture / np.quantile(picture, 0.99), 0.0, 1.0))
+    found = find_outlines(np.repeat(shown[..., None], 3, axis=2), "ball.png")[0].circle
+    np.testing.assert_allclose([found.x, found.y, found.radius], [ball.x, ball.y, ball.radius], atol=1.0)
+
+
+def test_small_circle_may_be_given_in_a_large_picture(tmp_path):
+    """The circle has less than a pixel where edges are compared."""
+    y, x = np.mgrid[:600, :4000] + 0.5
+    grey = np.where(np.hypot(x - 300.0, y - 300.0) < 8.0, 200, 10).astype(np.uint8)
+    Image.fromarray(np.repeat(grey[..., None], 3, axis=2)).save(tmp_path / "a.png")
+    assert given_outline_notes([read_photograph(tmp_path / "a.png")], Circle(300.0, 300.0, 8.0)) == ()
 
 
 @pytest.mark.parametrize("text", ["1,2", "a,b,c", "1,2,nan", "1,2,-3"])

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
 from manifold.core.errors import FileFormatError
-from manifold.estimate.coat import read_colours
+from manifold.estimate.coat import DoubtfulColoursWarning, read_colours
 from manifold.formats import registry
 from manifold.formats.readings import Assumption, Readings
 
@@ -95,21 +97,25 @@ def test_codes_of_pictures_are_refused_or_noted(read):
 
 
 @pytest.mark.parametrize(("white", "unit"), [(1.0 / np.pi, "brdf"), (1.0, "factor")])
-def test_a_saturated_band_flips_no_unit(white, unit, read):
-    """A mean over bands made factors percent."""
+@pytest.mark.parametrize("saturated", [[3], [1, 3, 5]])
+def test_saturated_bands_flip_no_unit(white, unit, saturated, read):
+    """A mean over bands made factors percent, and two saturated bands of 16 a BRDF."""
     values = satin() * white
-    values[:, 3] = 30.0
+    values[:, saturated] = 30.0
     found = read(directions(values))
     assert found.assumed_unit == unit
-    assert [note[:10] for note in doubts(found)] == ["band 460nm"]
+    (note,) = doubts(found)
+    assert note.startswith("band " + ", ".join(f"{NM[k]}nm" for k in saturated))
 
 
-def test_a_saturated_band_flips_no_table_of_geometries(read):
+@pytest.mark.parametrize("saturated", [[12], [5, 12, 20, 25, 26, 30]])
+def test_saturated_bands_flip_no_table_of_geometries(saturated, read):
     values = np.full((6, 31), 0.3)
-    values[:, 12] = 9.99
+    values[:, saturated] = 9.99
     found = read(geometries(values))
     assert found.assumed_unit == "factor"
-    assert [note[:8] for note in doubts(found)] == ["band 520"]
+    (note,) = doubts(found)
+    assert note.startswith(f"band {400 + 10 * saturated[0]}")
 
 
 def test_a_stated_unit_that_is_impossible_is_noted(read):
@@ -156,18 +162,24 @@ def test_angles_in_radians_below_heads_of_degrees_are_noted(unit, read):
     assert doubts(along) == []
 
 
-def test_lightness_from_0_to_1_is_noted_in_tables_and_refused_in_lists(read, tmp_path):
+@pytest.mark.parametrize(("turn", "said"), [(1.0, "3.14"), (2.0, "6.28"), (0.04, "")])
+def test_azimuths_in_radians_beside_thetas_in_degrees_are_noted(turn, said, read):
+    pairs = [(45, 20, 0), (45, 20, 1.57 * turn), (45, 60, 3.14 * turn), (30, 10, 0)]
+    head = "theta_i (deg),theta_o (deg),phi_o (deg),BRDF 500nm\n"
+    found = read(head + "".join(f"{i},{o},{phi},0.1\n" for i, o, phi in pairs))
+    expected = f"all azimuths are within {said} degrees of the plane of incidence: are they radians?"
+    assert doubts(found) == [expected] * bool(said)
+
+
+def test_lightness_from_0_to_1_is_noted_in_tables_and_lists(read, tmp_path):
     """It was a black paint."""
     rows = "".join(f"45as{a},{L},0.3,0.2\n" for a, L in ((15, 0.58), (25, 0.53), (110, 0.48)))
-    assert doubts(read("Geometry,L*,a*,b*\n" + rows)) == [
-        "L* is at most 0.58, so black: multiply by 100 if it is a fraction"
-    ]
+    said = "L* is at most 0.58, so black: multiply by 100 if it is a fraction"
+    assert doubts(read("Geometry,L*,a*,b*\n" + rows)) == [said]
     assert doubts(read("Geometry,L*,a*,b*\n" + rows.replace("0.58", "2.1"))) == []
     path = tmp_path / "colours.txt"
-    path.write_text("red,0.5,0.3,0.2\nblue,0.4,-0.1,-0.3\n")
-    with pytest.raises(
-        FileFormatError, match=r"L\* of at most 0\.5, expected 0 to 100; multiply fractions by 100"
-    ):
-        read_colours(path, {})
+    path.write_text("red,0.58,0.3,0.2\nblue,0.4,-0.1,-0.3\n")
+    with pytest.warns(DoubtfulColoursWarning, match=re.escape(f"colours.txt: {said}")):
+        assert len(read_colours(path, {})) == 2
     path.write_text("red,50,30,20\nblack,0.4,0,0\n")
     assert len(read_colours(path, {})) == 2

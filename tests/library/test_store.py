@@ -23,7 +23,7 @@ from helpers.sample_files import WAVELENGTHS_NM, assert_same, assert_same_array,
 from helpers.small_library import measured
 
 from manifold.core import progress
-from manifold.core.errors import BandMismatchError, LibraryError, UsageError
+from manifold.core.errors import BandMismatchError, LibraryError, MissingFileError, UsageError
 from manifold.core.records import Bands, BsdfFile
 from manifold.core.stores import Entry
 from manifold.io_rgl import read_bsdf, write_bsdf
@@ -322,6 +322,24 @@ def test_importing_again_skips_what_is_there(library: Library, folder: Path) -> 
     }
     assert [done for done, _, _ in seen] == list(range(1, 9))
     assert {total for _, total, _ in seen} == {8}
+
+
+def test_files_with_readings_in_a_folder_are_named_and_not_imported(tmp_path: Path) -> None:
+    """They were skipped without a word."""
+    files = tmp_path / "files"
+    write_samples(files, 1)
+    (files / "table.csv").write_text("theta_i,theta_o,phi_o,550nm\n45,0,0,0.1\n")
+    (files / "broken.xlsx").write_text("no workbook")
+    (files / "README.txt").write_text("A licence.\n")
+    result = import_files(tmp_path / "library.zarr", [files])
+    assert result.readings == (files / "broken.xlsx", files / "table.csv")
+    assert (len(result.imported), result.failed) == (1, {})
+    (only,) = files.glob("*.bsdf")
+    assert import_files(tmp_path / "other.zarr", [only]).readings == ()
+    only.unlink()
+    said = "holds no .bsdf file; `manifold complete` reads the readings in broken.xlsx, table.csv"
+    with pytest.raises(MissingFileError, match=said):
+        import_files(tmp_path / "other.zarr", [files])
 
 
 def test_folders_are_searched_at_every_depth_and_only_for_files(tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 from helpers.small_library import small_library
@@ -170,3 +172,32 @@ def test_byte_order_marks_headers_and_comments_lose_no_row(tmp_path, text):
     path = tmp_path / "spectrum.csv"
     path.write_text(text, encoding="utf-8")
     assert read_reflectance(path, BANDS)[0] == 0.9
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("nm,R (%)\n" + "".join(f"{nm},{0.4 if nm < 580 else 0.6}\n" for nm in range(400, 701, 10)),
+         "reflectances of at most 0.6 %: if they are fractions, name no per cent"),
+        ("".join(f"{nm} 0.3\n" for nm in range(400, 701, 10) if not 450 < nm < 600),
+         "no reflectances between 450 and 600 nm, where they are interpolated"),
+        ("".join(f"{nm} 0.3\n" for nm in range(400, 701, 50)), ""),
+        ("400 0.1\n700 0.5\n", ""),
+    ],
+)  # fmt: skip
+def test_doubtful_spectra_are_noted(tmp_path, text, said):
+    path = tmp_path / "spectrum.txt"
+    path.write_text(text)
+    with warnings.catch_warnings(record=True) as shown:
+        warnings.simplefilter("always")
+        read_reflectance(path, BANDS)
+    assert [str(one.message) for one in shown] == [f"{path}: {said}"] * bool(said)
+
+
+def test_noise_beyond_the_range_of_reflectances_is_not_called_per_cent(tmp_path):
+    path = tmp_path / "white.txt"
+    path.write_text("400 0.98\n700 1.01\n")
+    with pytest.raises(
+        FileFormatError, match=r"from 0\.98 to 1\.01, expected 0 to 1; set noise beyond them to 0 or 1"
+    ):
+        read_reflectance(path, BANDS)

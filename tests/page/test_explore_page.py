@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from urllib.parse import quote
 
 import bench_page
@@ -11,12 +12,15 @@ import pytest
 from helpers.browser import control, follow, settle, shown, state, unpacked, visit
 from helpers.small_library import NAMES, small_library
 
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.cli.main import run as command
 from manifold.colour import ball_colours
 from manifold.colour.conversion import decode_srgb, srgb_to_xyz
 from manifold.colour.lights import environment
 from manifold.core.directions import from_spherical
-from manifold.estimate.attributes import Attributes, Wanted, adjust, lab_of
+from manifold.estimate.attributes import Attributes, Wanted, adjust, factor_of, lab_of
 from manifold.estimate.gloss import gloss_units
+from manifold.io_rgl import read_bsdf
 from manifold.model.blending import blend_weights
 from manifold.model.colours import ColourChoice
 from manifold.model.manifold import Manifold
@@ -472,18 +476,13 @@ def test_a_tinted_place_is_that_of_the_package(visited, model):
 def test_attributes_are_set_by_sliders_and_said_where_they_are_out_of_reach(visited):
     page = visited.page
     page.evaluate("window.explorer.goTo(3)")
-    before = shown(page, "window.explorer.prediction.gloss()")
     control(page, "#lightness").press("ArrowLeft")
     settle(page)
     now = state(page)
     assert now["colour"] == "lch"
     assert "lch=" in page.evaluate("location.hash")
     control(page, "#hue").fill("200")
-    control(page, "#gloss").fill("0.7")
-    assert shown(page, "window.explorer.prediction.gloss()") == pytest.approx(10**0.7, rel=0.05)
-    assert before > 20
     assert state(page)["lch"][2] == 200
-    assert page.locator("#gloss").get_attribute("aria-valuetext").endswith("GU")
     control(page, "#chroma").fill("120")
     settle(page)
     assert "reached" in page.locator("#attributes-missed").inner_text()
@@ -495,6 +494,46 @@ def test_attributes_are_set_by_sliders_and_said_where_they_are_out_of_reach(visi
     follow(page, link)
     assert np.allclose(state(page)["lch"], lch, atol=1e-3)
     assert page.evaluate("window.explorer.plainColour(explorer.state).srgb").startswith("#")
+
+
+@pytest.mark.parametrize(
+    ("colour", "is_material"), [("blend", True), ("like", False), ("picked", True), ("lch", False)]
+)
+def test_shown_gloss_command_makes_the_shown_material_with_another_gloss(
+    visited, model, tmp_path, colour, is_material
+):
+    x = model.X[3] if is_material else 0.5 * (model.X[1] + model.X[3])
+    change = """([x, colour, like]) => {
+      window.explorer.change({ x, colour, like, srgb: "#8090a0", lch: [55, 30, 250] });
+      window.explorer.showTab("colour"); }"""
+    visited.page.evaluate(change, [x.tolist(), colour, NAMES[0]])
+    settle(visited.page)
+    gloss = float(visited.page.locator("#gloss").inner_text().removesuffix(" GU"))
+    manifold, *words = shlex.split(visited.page.locator("#gloss-command").inner_text())
+    assert manifold == "manifold"
+    made = {}
+    for units in (gloss, 2.0 * gloss):
+        file = tmp_path / f"{units:g}_rgb.bsdf"
+        options = [f"60={units:g}" if word == "60=VALUE" else word for word in words[:-1]]
+        words_run = [*options, str(file), "-M", str(model.library.path.with_name("model.h5"))]
+        with pytest.raises(SystemExit) as left:
+            command(words_run)
+        assert left.value.code == 0
+        made[units] = MeasuredBRDF(read_bsdf(file))
+        assert gloss_units(made[units], (60.0,))[60.0] == pytest.approx(units, rel=0.05)
+    # With the gloss that is shown, the command makes the shown material: its colour at 45/0.
+    shown_factor = shown(visited.page, "window.explorer.prediction.factor()")
+    assert np.allclose(factor_of(made[gloss]), shown_factor, atol=0.02)
+
+
+def test_material_that_no_command_makes_shows_no_gloss_command(visited):
+    page = visited.page
+    page.evaluate("window.explorer.goTo(3); window.explorer.showTab('colour')")
+    settle(page)
+    assert page.locator("#gloss-note").is_visible()
+    page.evaluate("window.explorer.change({ without: true })")
+    settle(page)
+    assert not page.locator("#gloss-note").is_visible()
 
 
 def test_a_picture_at_rest_is_drawn_finely(visited):

@@ -458,7 +458,7 @@ def test_map_ball_and_sliders_are_the_first_screen(page, width, height):
     page.set_viewport_size({"width": width, "height": height})
     page.evaluate("window.explorer.showTab('colour')")
     settle(page)
-    boxes = [page.locator(f"#{name}").bounding_box() for name in ("map", "ball", "gloss", "lightness")]
+    boxes = [page.locator(f"#{name}").bounding_box() for name in ("map", "ball", "lightness", "hue")]
     assert all(box["y"] >= 0 and box["y"] + box["height"] <= height for box in boxes)
     assert page.locator("#ball").bounding_box()["height"] > 0.24 * height
     assert page.evaluate("document.documentElement.scrollWidth") <= width

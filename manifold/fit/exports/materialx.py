@@ -32,12 +32,12 @@ _HASH_DIGITS = 8  # hexadecimal; two of a thousand names agree with a probabilit
 def identifier(name: str) -> str:
     """Return a valid identifier for MaterialX, its shaders and USD; GLSL ES forbids two underscores in a row.
 
-    Names that differ only in characters beyond ASCII get different identifiers, by a hash.
+    A name that is no such identifier gets a hash, so that different names get different identifiers.
     """
     made = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
     if not re.match(r"[A-Za-z]", made):
         made = f"material_{made}".rstrip("_")
-    if name.isascii():
+    if made == name:
         return made
     content = name.encode(errors="backslashreplace")  # file names may be no valid UTF-8
     return f"{made}_{hashlib.sha256(content).hexdigest()[:_HASH_DIGITS]}"

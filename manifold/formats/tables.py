@@ -186,7 +186,7 @@ def text_of(cell: Cell) -> str:
 
 
 def names_directions(heads: Sequence[str]) -> bool:
-    """Return whether cells are the header of a table of directions, which names both elevations."""
+    """Return whether cells are the header of a table of directions, which names both polar angles."""
     return {"theta_i", "theta_o"} <= set(angle_names(heads))
 
 
@@ -202,7 +202,7 @@ def resembles_header(heads: Sequence[str]) -> bool:
 
 
 def not_understood(heads: Sequence[str]) -> str | None:
-    """Return the heading that is not understood in a header of values and one elevation; None for other cells.
+    """Return the heading that is not understood in a header of values and one polar angle; None for other cells.
 
     It is empty if all headings are understood.
 

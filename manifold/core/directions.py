@@ -13,7 +13,7 @@ NEAR_MIRROR_DEG = 10.0
 """Angle around a mirror direction within which errors count as those of the highlight."""
 
 SAME_RAD = 1e-3
-"""Largest difference of directions, in radians, at which readings are of one place."""
+"""Largest difference of directions, in radians, at which readings count as readings of one direction."""
 
 HORIZON = np.deg2rad(89.9)
 """Polar angle in radians at which limits at the horizon are evaluated."""
@@ -30,7 +30,7 @@ def u_to_phi(v: Array) -> Array:
 
 
 def from_spherical(theta_rad: Array | float, phi_rad: Array | float) -> Array:
-    """Return unit vectors (..., 3) from polar angles and azimuths in radians, which broadcast."""
+    """Return unit vectors (..., 3) for polar angles and azimuths, both in radians; the arrays broadcast."""
     theta, phi = np.asarray(theta_rad, float), np.asarray(phi_rad, float)
     sin_theta = np.sin(theta)
     return _stack(sin_theta * np.cos(phi), sin_theta * np.sin(phi), np.cos(theta))

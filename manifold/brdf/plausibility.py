@@ -82,7 +82,7 @@ class Plausibility:
             incidences of 30, 45 and 60 degrees, averaged over the bands. The depth is relative to the lower of the
             two maxima on either side of the minimum. It is limited to the depth in the geometric mean of both sides
             of the mirror direction, because a rise towards grazing on one side is not a dip.
-        albedo_incidence_deg: polar angle at which the albedo is largest.
+        albedo_incidence_deg: angle of incidence at which the albedo is largest.
 
     Anisotropic BRDFs are evaluated at eight azimuths of incidence, isotropic ones at one.
     """
@@ -133,7 +133,7 @@ def plausibility_of_file(file: BsdfFile) -> Plausibility:
 
 
 def albedo_at(brdf: BRDF, elevations_deg: Sequence[float]) -> Array:
-    """Return the largest directional albedo at K polar angles, shape (K,).
+    """Return the largest directional albedo at K angles of incidence, shape (K,).
 
     The largest value is taken over the bands and, for anisotropic BRDFs, over eight azimuths.
     """
@@ -156,7 +156,7 @@ def _highlight_valley(evaluate: Evaluate, is_isotropic: bool) -> Array:
 
 
 def incident_directions(elevations_deg: Sequence[float] | Array, is_isotropic: bool) -> Array:
-    """Return incident directions (K, 3) at the polar angles; for anisotropic BRDFs, at eight azimuths each."""
+    """Return incident directions (K, 3) at angles of incidence; for anisotropic BRDFs, at eight azimuths each."""
     azimuths = (0,) if is_isotropic else AZIMUTHS_DEG
     return from_spherical(np.deg2rad(elevations_deg)[:, None], np.deg2rad(azimuths)).reshape(-1, 3)
 

@@ -56,7 +56,7 @@ class Shape:
 
     @classmethod
     def of(cls, incidences: int, values: int, columns: int, rows: int, nodes: int) -> Shape:
-        """Return the shape with these numbers of nodes, and with the bytes of its texture."""
+        """Return the shape with these numbers of nodes, and compute the size of its texture in bytes."""
         made = cls(0, incidences, values, columns, rows, nodes)
         return replace(made, bytes=made.width * made.height * TEXEL_BYTES)
 

@@ -209,8 +209,8 @@ def export(
     tolerance: Annotated[
         float | None,
         typer.Option(
-            help="For shaders: write the smallest table whose difference from the material is at most this "
-            "({manifold.core.judged_lights.BALL}). [default: {manifold.core.defaults.SHADER_TOLERANCE}]",
+            help="For shaders: write the smallest table whose difference from the material is at most this: "
+            "{manifold.core.judged_lights.BALL}. [default: {manifold.core.defaults.SHADER_TOLERANCE}]",
             metavar="E",
         ),
     ] = None,

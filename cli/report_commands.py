@@ -42,8 +42,8 @@ def report(
         bool,
         typer.Option(
             "--compare",
-            help="Also evaluate GPLVMs, blends and fits by few numbers, refitted without each material (minutes for "
-            "195 bands).",
+            help="Also evaluate GPLVMs, blends and reconstructions by few numbers, refitted without each material "
+            "(minutes for 195 bands).",
         ),
     ] = False,
     all_bands: Annotated[
@@ -154,7 +154,8 @@ def chart(
         typer.Option(
             "--readings",
             help="Chart errors of completions against the number of readings instead. Takes minutes; fewer with --only "
-            "completion, ridge, ridge_same, nearest or principled (ridge_same is ridge at completion's directions).",
+            "completion, ridge, ridge_same, nearest or principled (ridge_same: ridge regression at completion's "
+            "directions).",
         ),
     ] = False,
     workers: OneWorkerOptions = ONE,
@@ -162,7 +163,7 @@ def chart(
 ) -> None:
     """Cross-validate many settings in ten folds: error against time to predict, bytes, and time to fit.
 
-    Takes minutes (51 materials in 195 bands: ten). After an interruption, the same command
+    Takes minutes (ten for 51 materials in 195 bands). After an interruption, the same command
     continues from the finished settings, which the library keeps.
 
     The unit of time is one evaluation of a synthetic material at 8,192 direction pairs in 195 bands, in the same run.
@@ -361,7 +362,8 @@ def budget(
         int, typer.Option(help="Samples per pixel, in the analysis.", metavar="N", min=1, max=1 << 16)
     ] = 128,
     seed: Annotated[
-        int, typer.Option(help="Seed of the noise; equal seeds give equal pictures, to rounding.", metavar="N", min=0)
+        int,
+        typer.Option(help="Seed of the noise; equal seeds give equal pictures, up to rounding.", metavar="N", min=0),
     ] = 0,
     picture: Annotated[
         bool,

@@ -69,10 +69,10 @@ def write_api(*_: object) -> None:
     lines = [
         "# Python reference",
         "",
-        "The pages have signatures, parameters and examples of all names that stay the same between versions. The "
-        "examples of a page run in the order of the page, in one folder for all pages: `manifold corpus corpus --rgb` "
-        "writes its files `corpus`, the page of `manifold` makes `corpus.zarr` and `corpus.h5`, and `sample.xlsx` is "
-        "an MA-T12 workbook with pictures. [Python interface](python.md) is a tour.",
+        "These pages list signatures, parameters and examples of all names that stay the same between versions. All "
+        "examples run in one folder, in the order of the pages: `manifold corpus corpus --rgb` writes the files in "
+        "`corpus`, the page `manifold` makes `corpus.zarr` and `corpus.h5`, and `sample.xlsx` is an MA-T12 workbook "
+        "with pictures. [Python interface](python.md) is a tour.",
         "",
         "| page | names |",
         "|---|---|",
@@ -101,7 +101,7 @@ def _module(name: str) -> ModuleType:
 def _page_of(package: str, module: ModuleType, page: Page) -> list[str]:
     lines = [f"# {package}", "", inspect.getdoc(module) or "", ""]
     if page.setup:
-        lines += ["The examples of this page begin with:", "", "```python", page.setup, "```", ""]
+        lines += ["The examples on this page assume:", "", "```python", page.setup, "```", ""]
     for full, code in page.examples.items():
         if full == package:
             own = [] if hasattr(module, "__path__") else _entries_of(module)

@@ -186,7 +186,7 @@ def _sheen(roughness: float, wi: Array, wo: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def _sheen_albedo(roughness: float) -> Array:
-    """Return the albedo of the unscaled sheen lobe at 65 elevations evenly spaced in sqrt(cos), grazing first."""
+    """Return the albedo of the unscaled sheen lobe at 65 polar angles evenly spaced in sqrt(cos), grazing first."""
     cosines = np.maximum(np.linspace(0.0, 1.0, 65) ** 2, 1e-6)
     nodes, weights = hemisphere_quadrature(96, 96)
     directions = from_spherical(np.arccos(cosines), 0.0)

@@ -490,7 +490,7 @@ def _imperfect(file: BsdfFile, rng: np.random.Generator, speckle: float) -> Bsdf
 
 
 def _noisy(values: Array, incidence: Indices, rng: np.random.Generator, speckle: float) -> Array:
-    """Return the values (n, B) of cells with the instrument's noise; `incidence` (n,) holds their elevations."""
+    """Return the values (n, B) of cells with the instrument's noise; `incidence` (n,) holds their polar angles."""
     n, n_bands = values.shape
     # Speckle is common to all bands of a cell; the detector's noise is not, and is worse towards both ends.
     cells = 1.0 + speckle * rng.standard_normal(n, dtype=np.float32)

@@ -171,7 +171,7 @@ class GGX:
         return AlbedoTable(self, _facet_moments(*self.alphas) @ reflectance)
 
     def _table_coordinates(self, w: Array) -> tuple[Array, Array]:
-        """Return the stretched elevation and azimuth of directions (n, 3), both mapped to [0, 1]."""
+        """Return the stretched polar angle and azimuth of directions (n, 3), both mapped to [0, 1]."""
         (alpha_x, alpha_y), rotation = self._principal
         plane = (w[:, :2] @ rotation.T) * (alpha_x, alpha_y)
         z = w[:, 2] / np.sqrt(plane[:, 0] ** 2 + plane[:, 1] ** 2 + w[:, 2] ** 2)
@@ -183,7 +183,7 @@ class GGX:
 
 @dataclass(frozen=True, eq=False)
 class AlbedoTable:
-    """A table of the directional albedo over stretched elevation and azimuth, (elevations, azimuths, B).
+    """A table of the directional albedo over stretched polar angle and azimuth, (polar angles, azimuths, B).
 
     An isotropic surface has one azimuth.
     """
@@ -321,7 +321,7 @@ def _blend(a: Array, b: Array, t: Array) -> Array:
 def _facet_moments(alpha_x: float, alpha_y: float) -> Array:
     """Return the directional albedo as a linear map of the Fresnel reflectance at `facet_cosines()`, read-only.
 
-    Its shape is (elevations, azimuths, n_cosines).
+    Its shape is (polar angles, azimuths, n_cosines).
 
     E(wi) is the mean of F(<wi, h>) G2 / G1(wi) over visible normals h, by Gauss-Legendre quadrature over the height
     of the cap and evenly spaced azimuths. F is linear between the cosines, so one table serves any Fresnel term.

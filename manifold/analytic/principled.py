@@ -71,11 +71,11 @@ class Diffuse:
         return type(self)(wi[rows], wo[rows])
 
     def coefficients(self, values: Mapping[str, Array | float]) -> Array:
-        """Return the coefficients, (3, 1, M)."""
+        """Return the coefficients of f cos(theta_o) in 1/sr: constant, per colour and per tint, shape (3, 1, M)."""
         return np.stack([0.0 * self._white, self._white, 0.0 * self._white])[:, None]
 
     def slopes(self, values: Mapping[str, float], names: Collection[str]) -> tuple[Array, dict[str, Array]]:
-        """Return the coefficients (3, M), and no derivatives."""
+        """Return the coefficients (3, M) as `coefficients` does, and no derivatives."""
         return self.coefficients(values)[:, 0], {}
 
 

@@ -23,7 +23,7 @@ def to_xarray(
 
     Args:
         brdf: any BRDF; an anisotropic BRDF is lit from azimuth 0.
-        theta_i_deg, theta_o_deg: elevations from the normal in degrees, 0 to 90, numbers or shape (I,) and (O,).
+        theta_i_deg, theta_o_deg: polar angles in degrees, 0 to 90, numbers or shape (I,) and (O,).
         phi_deg: azimuth of the outgoing direction from the incident one in degrees, a number or shape (P,); 180 is
             the side of the mirror direction.
 
@@ -32,7 +32,7 @@ def to_xarray(
 
     Raises:
         MissingPackageError: xarray is not installed.
-        ShapeError: angles have more than one dimension, or elevations are outside 0 to 90 degrees.
+        ShapeError: angles have more than one dimension, or polar angles are outside 0 to 90 degrees.
     """
     xarray = require("xarray")
     theta_i, theta_o, phi = angles = [

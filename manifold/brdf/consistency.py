@@ -54,7 +54,7 @@ class Cell(NamedTuple):
     """A stored value that disagrees with its neighbours, or with the luminance of its cell.
 
     Attributes:
-        at: indices of the azimuth, elevation, band, row and column.
+        at: indices of the azimuth, polar angle, band, row and column.
         value: the stored value.
         expected: the value that the luminance implies, or the median of the neighbours.
         low, high: smallest and largest neighbour; NaN if there are fewer than three neighbours.
@@ -69,7 +69,7 @@ class Cell(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Consistency:
-    """Statistics of the values of a file with P azimuths, T elevations and B bands, and the faults found.
+    """Statistics of the values of a file with P azimuths, T polar angles and B bands, and the faults found.
 
     Attributes:
         albedo: directional albedo, shape (P, T, B).

@@ -107,7 +107,7 @@ def _without_knees(retro: Array, bend: float, exponent: float, resolution: int) 
 
 
 def _isotropic_ndf(retro: Array) -> tuple[Array, Array]:
-    """Return the normal distribution and projected area at the WARP_NODES elevations, each shape (WARP_NODES,)."""
+    """Return the normal distribution and projected area at the WARP_NODES polar angles, each shape (WARP_NODES,)."""
     u = np.linspace(0.0, 1.0, WARP_NODES)
     fine = (np.arange((WARP_NODES - 1) * _OVERSAMPLING) + 0.5) / ((WARP_NODES - 1) * _OVERSAMPLING)
     theta = u_to_theta(fine)
@@ -156,7 +156,7 @@ def _anisotropic_ndf(retro: Array) -> tuple[Array, Array]:
 
 
 def node_normals(n: int) -> Array:
-    """Return the normals (n, n, 3) at the nodes of a square grid whose rows are azimuths and columns elevations."""
+    """Return the normals (n, n, 3) at the nodes of a square grid whose rows are azimuths and columns polar angles."""
     u = np.linspace(0.0, 1.0, n)
     return from_spherical(u_to_theta(u)[None, :], u_to_phi(u)[:, None])
 
@@ -227,7 +227,7 @@ def measure(
 
     Raises:
         UsageError: an axis has fewer than 2 nodes, there are 2 azimuths, or the BRDF has no retro-reflection at any
-            elevation.
+            polar angle.
     """
     require_brdf(brdf, "goniometer.measure")
     if n_phi_i == 2:

@@ -50,7 +50,7 @@ def rotation_of_brdf(brdf: EvaluableBRDF) -> float | None:
 
 def _widest(density: Array, theta: Array, phi: Array) -> float | None:
     """Return the azimuth along which normals of a density (P, T), over steps in theta, spread most."""
-    # sin^2 of the elevation, over projected solid angles
+    # sin^2 of the polar angle, over projected solid angles
     weight = (density * (np.sin(theta) ** 3 * np.cos(theta))).sum(axis=1)
     moment = np.sum(weight * np.exp(2j * phi)) / max(float(np.sum(weight)), np.finfo(float).tiny)
     if np.abs(moment) < _LEAST_ANISOTROPY:

@@ -123,12 +123,12 @@ def _changed(file: BsdfFile, brdf: BRDF, movable: Mask | None = None) -> tuple[B
 
 
 class AlbedoScaledBRDF(WrappedBRDF):
-    """A BRDF multiplied by s(theta_i) s(theta_o), where s is below 1 only at elevations whose albedo exceeds 1."""
+    """A BRDF multiplied by s(theta_i) s(theta_o), where s is below 1 only at polar angles whose albedo exceeds 1."""
 
     def __init__(self, brdf: BRDF, theta_rad: Array, albedo: Array, keeps_hue: bool):
-        """Find s at increasing elevations (T,) with albedo (T, B), so that no scaled albedo exceeds 1.
+        """Find s at increasing polar angles (T,) with albedo (T, B), so that no scaled albedo exceeds 1.
 
-        The iteration is s <- s sqrt(0.99 / albedo), as in symmetric Sinkhorn scaling. Between elevations s is
+        The iteration is s <- s sqrt(0.99 / albedo), as in symmetric Sinkhorn scaling. Between polar angles s is
         interpolated; with `keeps_hue` it is equal in all bands. Source: Sinkhorn & Knopp 1967, for sums that
         may not exceed a limit.
         """
@@ -154,7 +154,7 @@ class AlbedoScaledBRDF(WrappedBRDF):
         self._loss = 1.0 - scale  # exactly 0 where nothing is scaled
 
     def _hats(self, w: Array) -> Array:
-        """Return weights (..., T) of the elevations between which directions lie; constant beyond the last."""
+        """Return weights (..., T) of the polar angles between which directions lie; constant beyond the last."""
         theta = np.arccos(np.clip(np.asarray(w)[..., 2], 0.0, 1.0))
         return np.stack([np.interp(theta, self._theta, hat) for hat in np.eye(self._theta.size)], axis=-1)
 

@@ -82,7 +82,7 @@ class Plausibility:
             incidences of 30, 45 and 60 degrees, averaged over the bands. The depth is relative to the lower of the
             two maxima on either side of the minimum. It is limited to the depth in the geometric mean of both sides
             of the mirror direction, because a rise towards grazing on one side is not a dip.
-        albedo_incidence_deg: elevation at which the albedo is largest.
+        albedo_incidence_deg: angle of incidence at which the albedo is largest.
 
     Anisotropic BRDFs are evaluated at eight azimuths of incidence, isotropic ones at one.
     """
@@ -133,7 +133,7 @@ def plausibility_of_file(file: BsdfFile) -> Plausibility:
 
 
 def albedo_at(brdf: BRDF, elevations_deg: Sequence[float]) -> Array:
-    """Return the largest directional albedo at K elevations, shape (K,).
+    """Return the largest directional albedo at K angles of incidence, shape (K,).
 
     The largest value is taken over the bands and, for anisotropic BRDFs, over eight azimuths.
     """
@@ -156,7 +156,7 @@ def _highlight_valley(evaluate: Evaluate, is_isotropic: bool) -> Array:
 
 
 def incident_directions(elevations_deg: Sequence[float] | Array, is_isotropic: bool) -> Array:
-    """Return incident directions (K, 3) at the elevations; for anisotropic BRDFs, at eight azimuths each."""
+    """Return incident directions (K, 3) at angles of incidence; for anisotropic BRDFs, at eight azimuths each."""
     azimuths = (0,) if is_isotropic else AZIMUTHS_DEG
     return from_spherical(np.deg2rad(elevations_deg)[:, None], np.deg2rad(azimuths)).reshape(-1, 3)
 
@@ -200,7 +200,7 @@ def mirror_difference(brdf: BRDF, other: BRDF) -> float:
 def quadrature_albedo(brdf: BRDF, wi: Array, resolution: int) -> Array:
     """Return the directional albedo at unit vectors wi (..., 3) by quadrature over half vectors, shape (..., B).
 
-    `resolution` is the number of nodes in elevation and in azimuth.
+    `resolution` is the number of nodes in polar angle and in azimuth.
     """
     wi = require_directions(wi, "wi")
     flat = wi.reshape(-1, 3)
@@ -214,7 +214,7 @@ def quadrature_albedo(brdf: BRDF, wi: Array, resolution: int) -> Array:
 def mirrored_quadrature(wi: Array, n_theta: int = 32, n_phi: int = 32) -> tuple[Array, Array]:
     """Return outgoing directions (P, 3) above the horizon and their weights in sr, dense around the mirror direction.
 
-    The nodes are half vectors m: Gauss-Legendre nodes in the fourth root of the elevation, which resolve lobes down
+    The nodes are half vectors m: Gauss-Legendre nodes in the fourth root of the polar angle, which resolve lobes down
     to alpha = 0.02. The weights follow from d omega_o = 4 <wi, m> d omega_m.
     """
     x, weights = gauss_legendre(n_theta)

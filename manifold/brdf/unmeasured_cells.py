@@ -58,7 +58,7 @@ class Cells:
 def cells_of(
     file: BsdfFile, slices: Iterable[Sequence[int]] | None = None
 ) -> Iterator[tuple[int, int, Cells]]:
-    """Yield `(p, t, cells)` for the slices of a file: the indices of azimuth and elevation, and the cells.
+    """Yield `(p, t, cells)` for the slices of a file: the indices of azimuth and polar angle, and the cells.
 
     `slices` selects pairs (p, t); None yields all.
     """

@@ -1,6 +1,6 @@
 """Piecewise-bilinear warps of the unit square: a marginal over rows, then a conditional over columns.
 
-A warp holds one density for each incident azimuth and elevation, on a grid of R x C nodes over [0, 1]^2; x runs over
+A warp holds one density for each incident azimuth and polar angle, on a grid of R x C nodes over [0, 1]^2; x runs over
 columns, y over rows. Between these parameters, both the densities and their cumulative sums are interpolated
 linearly, so that `evaluate`, `sample` and `invert` stay consistent.
 

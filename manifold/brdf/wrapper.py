@@ -16,7 +16,7 @@ from manifold.core.records import Array, Bands
 class WrappedBRDF(NotebookPicture, ABC):
     """Base class of BRDFs that change the values of another BRDF and keep its sampling."""
 
-    _albedo_nodes: ClassVar[int] = 32  # nodes of the quadrature, in elevation and in azimuth
+    _albedo_nodes: ClassVar[int] = 32  # nodes of the quadrature, in polar angle and in azimuth
 
     def __init__(self, brdf: BRDF):
         """Wrap a BRDF, which may lack `sample` and `pdf` if the result is never sampled."""

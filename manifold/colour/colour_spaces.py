@@ -101,9 +101,10 @@ def adobe_rgb() -> ColourSpace | None:
 
 
 def of_png(chunks: dict[bytes, bytes]) -> ColourSpace | None:
-    """Return the space that chunks cICP, sRGB, gAMA and cHRM of a PNG file state; None if it is not read.
+    """Return the colour space that the chunks cICP, sRGB, gAMA and cHRM of a PNG file state; None if it is unsupported.
 
-    Without these chunks, nothing is stated. Source: PNG specification, third edition, section 4.3.
+    Without these chunks, return sRGB primaries with an unknown tone curve.
+    Source: PNG specification, third edition, section 4.3.
     """
     if len(cicp := chunks.get(b"cICP", b"")) == 4:
         primaries, transfer, matrix, is_full = cicp

@@ -1,9 +1,10 @@
-"""Spectra estimated from few bands: narrow blue, green and red ones, as of camera-like instruments, or coarse ones.
+"""Estimates spectra from three narrow bands (blue, green, red, as in camera-like instruments) or widely spaced bands.
 
-Three narrow bands are neither linear sRGB nor a spectrum that could be interpolated, and interpolated spectra of coarse
-bands have other colours. A linear map, learned from measured reflectances, predicts the rest of the spectrum. It maps
-the deviations of the bands from a flat spectrum to the deviations of the spectrum, in cube roots and relative to the
-mean of the bands. The estimate is proportional to the measured values, and a neutral colour stays neutral.
+Three narrow bands are neither linear sRGB nor a spectrum that could be interpolated, and spectra interpolated between
+widely spaced bands have wrong colours. A linear map, learned from measured reflectances, predicts the rest of the
+spectrum. It maps the deviations of the bands from a flat spectrum to the deviations of the spectrum, in cube roots and
+relative to the mean of the bands. The estimate is proportional to the measured values, and a neutral colour stays
+neutral.
 
 Source: Wiener estimation; Haneishi et al. 2000, "System design for accurately estimating the spectral reflectance of
 art paintings".

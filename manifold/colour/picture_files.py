@@ -156,7 +156,7 @@ def _read(path: Path, kind: str, is_linear: bool | None, finds_plateaus: bool) -
 
 
 def notes_together(pictures: Iterable[tuple[str, Iterable[str]]]) -> dict[str, int]:
-    """Return the notes on pictures, given by names of pictures, and how many pictures each concerns.
+    """Merge the notes on pictures, given with their names; return how many pictures each note concerns.
 
     Notes that differ only in the name with which they begin become one.
     """

@@ -301,7 +301,7 @@ def _inspect_file(file: BsdfFile, path: Path, *, is_compact: bool = False) -> In
 
 
 def _incidence_table(file: BsdfFile, checked: Consistency) -> Table:
-    """Return a table of albedo, negative values and reciprocity by elevation, the worst over azimuths each."""
+    """Return a table of albedo, negative values and reciprocity by polar angle, the worst over azimuths each."""
     albedo, negative = checked.albedo.max(axis=0), checked.negative_share.max(axis=0)  # [T, B]
     distance = np.abs(np.log(np.nan_to_num(checked.reciprocity, nan=1.0)))
     ratio = np.take_along_axis(checked.reciprocity, distance.argmax(axis=0)[None], axis=0)[0]  # [T]

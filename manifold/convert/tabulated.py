@@ -155,7 +155,7 @@ class ReadingsBRDF(TabulatedBRDF):
     def _ring(self, ring: int, phi: Array, h: Array, cosines: Array) -> Array:
         """Return values (n, B) for azimuths (n,), half vectors (n, 3) and products (n,) of `_unmasked` of both cosines.
 
-        They are read at an elevation of incidence that was measured.
+        They are read at a polar angle of incidence that was measured.
         """
         theta, members = float(self._thetas[ring]), self._rings[ring]
         if self._isotropic:
@@ -215,7 +215,7 @@ def _unmasked(cosine: Array | float) -> Array:
 
 
 def _disk(w: Array, turn: Array | float) -> Array:
-    """Return directions (n, 3), turned about the normal, as points of a disk whose radius is the elevation."""
+    """Return directions (n, 3), turned about the normal, as points of a disk whose radius is the polar angle."""
     theta, phi = to_spherical(w)
     return np.stack([theta * np.cos(phi + turn), theta * np.sin(phi + turn)], axis=-1)
 

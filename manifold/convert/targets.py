@@ -40,7 +40,7 @@ _BLOCK = 65536  # pairs evaluated at once
 _TURNS = 8  # rotations of an anisotropic sample that an isotropic format averages over
 _MOST_INCIDENCES = 40
 _MEASURED_WITHIN = np.deg2rad(0.5)  # angle from a measured incidence: half a step of MERL's
-_FINE, _MEDIUM, _COARSE = (1.0, 5.0), (2.0, 10.0), (5.0, 15.0)  # degrees of elevation and azimuth
+_FINE, _MEDIUM, _COARSE = (1.0, 5.0), (2.0, 10.0), (5.0, 15.0)  # degrees of polar angle and azimuth
 _AZIMUTHS = np.deg2rad(np.arange(0.0, 360.0, 30.0))  # of incidence on an anisotropic sample
 _USUAL_INCIDENCES = np.deg2rad([0, 10, 20, 30, 40, 50, 60, 70, 80, 85])
 
@@ -227,7 +227,7 @@ def _one_turn(source: ConversionSource) -> list[str]:
 def _about_the_normal(
     source: ConversionSource, steps: tuple[float, float], *, one_turn: bool = False
 ) -> DenseTable:
-    """Sample the BRDF at its incidences, and at elevations and azimuths about the normal, by steps in degrees."""
+    """Sample the BRDF at its incidences, and at polar angles and azimuths about the normal, by steps in degrees."""
     radial = np.deg2rad(np.append(np.arange(0.0, 89.0, steps[0]), 89.0))
     azimuth = np.deg2rad(np.arange(0.0, 360.0, steps[1]))
     is_one = one_turn or source.brdf.is_isotropic
@@ -317,7 +317,7 @@ def _sampled(source: ConversionSource, axes: tuple[Array, Array, Array, Array]) 
 
 
 def _incidences(source: ConversionSource) -> Array:
-    """Return the file's own elevations of incidence, or usual ones if it has none or very many."""
+    """Return the file's own polar angles of incidence, or usual ones if it has none or very many."""
     own = source.theta_i_rad[source.theta_i_rad <= STEEPEST]
     return own if 2 <= own.size <= _MOST_INCIDENCES else _USUAL_INCIDENCES
 

@@ -13,14 +13,14 @@ NEAR_MIRROR_DEG = 10.0
 """Angle around a mirror direction within which errors count as those of the highlight."""
 
 SAME_RAD = 1e-3
-"""Largest difference of directions, in radians, at which readings are of one place."""
+"""Largest difference of directions, in radians, at which readings count as readings of one direction."""
 
 HORIZON = np.deg2rad(89.9)
-"""Elevation in radians at which limits at the horizon are evaluated."""
+"""Polar angle in radians at which limits at the horizon are evaluated."""
 
 
 def u_to_theta(u: Array) -> Array:
-    """Return the elevation in radians of the unit-square coordinate u in [0, 1] of RGL files: u^2 pi / 2."""
+    """Return the polar angle in radians of the unit-square coordinate u in [0, 1] of RGL files: u^2 pi / 2."""
     return np.square(u) * (0.5 * np.pi)
 
 
@@ -30,14 +30,14 @@ def u_to_phi(v: Array) -> Array:
 
 
 def from_spherical(theta_rad: Array | float, phi_rad: Array | float) -> Array:
-    """Return unit vectors (..., 3) from elevations from the normal and azimuths in radians, which broadcast."""
+    """Return unit vectors (..., 3) for polar angles and azimuths, both in radians; the arrays broadcast."""
     theta, phi = np.asarray(theta_rad, float), np.asarray(phi_rad, float)
     sin_theta = np.sin(theta)
     return _stack(sin_theta * np.cos(phi), sin_theta * np.sin(phi), np.cos(theta))
 
 
 def to_spherical(w: Array) -> tuple[Array, Array]:
-    """Return the elevation from the normal and the azimuth in (-pi, pi] of directions (..., 3), in radians."""
+    """Return the polar angle and the azimuth in (-pi, pi] of directions (..., 3), in radians."""
     return np.arctan2(np.hypot(w[..., 0], w[..., 1]), w[..., 2]), np.arctan2(w[..., 1], w[..., 0])
 
 
@@ -108,7 +108,7 @@ def gauss_legendre(n: int) -> tuple[Array, Array]:
 def hemisphere_quadrature(n_theta: int, n_phi: int) -> tuple[Array, Array]:
     """Return the nodes (n_theta * n_phi, 3) and solid-angle weights in sr over the upper hemisphere.
 
-    The nodes are Gauss-Legendre nodes in the squared sine of the elevation and uniform in azimuth;
+    The nodes are Gauss-Legendre nodes in the squared sine of the polar angle and uniform in azimuth;
     `sum(weights * cos(theta))` is pi up to rounding.
     """
     x, wx = gauss_legendre(n_theta)
@@ -145,7 +145,7 @@ def from_rusinkiewicz(
 def to_rusinkiewicz(wi: Array, wo: Array) -> tuple[Array, Array, Array, Array]:
     """Return `theta_h, theta_d, phi_d, phi_h` in radians of direction pairs (..., 3); azimuths in (-pi, pi].
 
-    An azimuth is arbitrary if its elevation is 0. Opposite directions have no half vector and give NaN.
+    An azimuth is arbitrary if its polar angle is 0. Opposite directions have no half vector and give NaN.
 
     Source: Rusinkiewicz 1998, section 2.
     """
@@ -157,7 +157,7 @@ def to_rusinkiewicz(wi: Array, wo: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def angles_from_mirror(wi: Array, wo: Array) -> Array:
-    """Return elevations of wi and wo (P, 3), and the azimuth of wo from the mirror direction, in degrees, (P, 3)."""
+    """Return polar angles of wi and wo (P, 3), and the azimuth of wo from the mirror direction, in degrees, (P, 3)."""
     theta = [np.degrees(np.arccos(np.clip(w[:, 2], -1.0, 1.0))) for w in (wi, wo)]
     phi = [np.degrees(np.arctan2(w[:, 1], w[:, 0])) for w in (wi, wo)]
     return np.column_stack([*theta, np.abs((phi[1] - phi[0]) % 360.0 - 180.0)])

@@ -1,24 +1,24 @@
 """The exceptions of the package, which share one base class.
 
-A message is one line that says where, what was found, what was expected, and what to do. Each class also derives from
-the built-in exception that Python raises in such a case:
+A message is one line that says where the error occurred, what was found, what was expected, and what to do. Each class
+also derives from the built-in exception that Python raises in such a case:
 
-| class | also | raised where |
+| class | also | raised if |
 |---|---|---|
 | `FileFormatError` | `ValueError` | a file is not what its name promises |
-| `ShapeError` | `ValueError` | an array has the wrong shape, dtype, or non-finite values |
-| `BandMismatchError` | `ValueError` | two things have different bands |
-| `LibraryError` | `ValueError` | a library is of another version, damaged, or cannot be written |
-| `MissingLibraryError` | `LibraryError`, `FileNotFoundError` | there is no such library |
-| `ModelError` | `ValueError` | a model is of another version, damaged, or does not fit its library |
-| `MissingModelError` | `ModelError`, `FileNotFoundError` | there is no such model |
+| `ShapeError` | `ValueError` | an array has the wrong shape or dtype, or holds values that are not finite |
+| `BandMismatchError` | `ValueError` | two objects that must have the same bands have different ones |
+| `LibraryError` | `ValueError` | a library has an unsupported version, is damaged, or cannot be written |
+| `MissingLibraryError` | `LibraryError`, `FileNotFoundError` | a library does not exist |
+| `ModelError` | `ValueError` | a model has an unsupported version, is damaged, or does not fit its library |
+| `MissingModelError` | `ModelError`, `FileNotFoundError` | a model does not exist |
 | `FetchError` | `OSError` | a download failed |
 | `NumericalError` | `ArithmeticError` | a factorisation or an iteration failed |
-| `RendererError` | `RuntimeError` | Mitsuba or a backend of it is missing |
+| `RendererError` | `RuntimeError` | Mitsuba is missing, or lacks the backend that an evaluation needs |
 | `UsageError` | `ValueError` | a value given by the user cannot be used |
-| `MissingFileError` | `UsageError`, `FileNotFoundError` | there is no such file |
+| `MissingFileError` | `UsageError`, `FileNotFoundError` | a file does not exist |
 | `FileAccessError` | `UsageError`, `OSError` | a file cannot be read, or cannot be written |
-| `UnknownNameError` | `UsageError`, `KeyError` | nothing has such a name |
+| `UnknownNameError` | `UsageError`, `KeyError` | a name is unknown |
 | `MissingPackageError` | `ImportError` | an optional package is not installed |
 | `LatentError` | `UsageError`, `ShapeError` | a latent has the wrong number of values, or values that are not finite |
 """
@@ -37,7 +37,7 @@ class FileFormatError(ManifoldError, ValueError):
 
 
 class ShapeError(ManifoldError, ValueError):
-    """An array has the wrong shape, dtype, or non-finite values."""
+    """An array has the wrong shape or dtype, or holds values that are not finite."""
 
 
 class BandMismatchError(ManifoldError, ValueError):
@@ -45,7 +45,7 @@ class BandMismatchError(ManifoldError, ValueError):
 
 
 class LibraryError(ManifoldError, ValueError):
-    """A library is of another version, damaged, or cannot be written."""
+    """A library has an unsupported version, is damaged, or cannot be written."""
 
 
 class MissingLibraryError(LibraryError, FileNotFoundError):
@@ -53,7 +53,7 @@ class MissingLibraryError(LibraryError, FileNotFoundError):
 
 
 class ModelError(ManifoldError, ValueError):
-    """A model file is of another version, damaged, or does not fit its library."""
+    """A model file has an unsupported version, is damaged, or does not fit its library."""
 
 
 class MissingModelError(ModelError, FileNotFoundError):

@@ -7,7 +7,7 @@ mappings follow the same rules:
 - an exact zero maps to a finite number and back to exactly zero;
 - negative values (measurement noise) keep their sign under `identity` and `cube-root`, and are treated as zero
   under the logarithms, whose inverse is never negative;
-- they compute with the functions of `xp`, NumPy or Dr.Jit, so that the Mitsuba plugin evaluates them too.
+- mappings call only functions of `xp` (NumPy or Dr.Jit), so that the Mitsuba plugin can also evaluate them.
 
 `inverse(forward(f))` equals f only up to rounding. If a prediction must equal a measured value bit for bit, use that
 value instead of mapping it back and forth.

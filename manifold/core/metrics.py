@@ -228,7 +228,7 @@ def relative_error(f: Array, f_star: Array, weight: Array | float = 1.0) -> floa
 def cube_root_error(f: Array, f_star: Array, weight: Array | float = 1.0) -> float:
     """Return `||(w f*)^(1/3) - (w f)^(1/3)|| / ||(w f)^(1/3)||`.
 
-    It is closer to perception than the linear error; the arguments are those of `relative_error`.
+    Highlights have less weight than in the linear error. The arguments are those of `relative_error`.
     """
     return float(_errors_of(f, f_star, weight).cube_root)
 

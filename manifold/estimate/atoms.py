@@ -246,15 +246,15 @@ class LibraryAtoms:
 
     @cached_property
     def on_grid(self) -> Array:
-        """Atoms times both cosines at the encoding grid, shape (n, P_g); for atoms of values."""
+        """Atoms that hold values, times both cosines, at the encoding grid, shape (n, P_g)."""
         return self._from_roots(self.directions[:, : self.n_grid], self.grid) * self.grid.cosines
 
     def grid_values(self, weights: Array) -> Array:
-        """Return the f that weights (B, n) give at the encoding grid, shape (P_g, B); for atoms of values."""
+        """Return the f that weights (B, n) of atoms that hold values give at the encoding grid, shape (P_g, B)."""
         return np.asarray((weights @ self.on_grid / self.grid.cosines).T)
 
     def grid_products(self, stride: int) -> Array:
-        """Return the inner products of atoms of values over every `stride`-th pair of the grid, shape (n, n)."""
+        """Return the inner products of atoms that hold values over every `stride`-th pair of the grid, shape (n, n)."""
         kept: dict[int, Array] = self.__dict__.setdefault("_grid_products", {})
         if stride not in kept:
             some = self.on_grid[:, ::stride]
@@ -263,7 +263,7 @@ class LibraryAtoms:
 
     @cached_property
     def on_ball(self) -> Array:
-        """Pixels of the atoms' balls in the five test lights, shape (n, K); for atoms of values."""
+        """Pixels of the balls of atoms that hold values, in the five test lights, shape (n, K)."""
         lights = panel.judged()
         return lights.of(self._from_roots(self.ball, lights).T).T
 

@@ -23,7 +23,11 @@ from manifold.library.store import Library
 _NOISE = 0.02  # standard deviation of channels, relative to their mean
 _UNLIKE = 0.1  # standard deviation of how a material's matrix from channels to bands differs from the prior's
 _STEP_NM = 5.0
-_VIEWS_DEG = ((45.0, 0.0), (30.0, -50.0), (60.0, 10.0))  # incidence and viewing elevation, off the highlight
+_VIEWS_DEG = (
+    (45.0, 0.0),
+    (30.0, -50.0),
+    (60.0, 10.0),
+)  # incidence and viewing polar angle, off the highlight
 
 
 class Channels(NamedTuple):

@@ -63,7 +63,7 @@ _PROFILE_ELEVATIONS_DEG = np.arange(-80.0, 81.0, 5.0)
 
 
 class NextStep(Enum):
-    """What to do next with a completed material: export it, read more, or check observations that are in doubt."""
+    """The next step for a completed material: export it, read more, or check observations that are in doubt."""
 
     EXPORT = auto()
     READ_MORE = auto()

@@ -91,7 +91,7 @@ class Evidence:
         return self.each and len(self.pictures) > 1
 
     def under(self, exposures: Array, noise: Array | None = None) -> list[Observation]:
-        """Return the rows of every channel, given the exposures (P,) of the pictures.
+        """Return the observations of every channel, given the exposures (P,) of the pictures.
 
         Pictures with more noise (P,) than usual get smaller weights.
         """
@@ -162,7 +162,7 @@ def channel_atoms(atoms: LibraryAtoms, material: int) -> Indices:
 
 
 def seen_instead(rows: Observation, seen: Array) -> Observation:
-    """Return rows with the pixels of another material, clipped at the same level."""
+    """Return the observations with the pixels of another material, clipped at the same level."""
     level = clipping(rows)
     is_bound = (seen >= level) & (np.arange(len(seen)) < len(seen) - rows.n_beside)
     return replace(rows, seen=np.where(is_bound, level, seen), is_bound=is_bound)
@@ -174,9 +174,10 @@ def clipping(rows: Observation) -> float:
 
 
 def rows_of_readings(atoms: LibraryAtoms, readings: Readings, of_pixels: float) -> list[Observation]:
-    """Return readings as rows in the channels of a camera; each weighs `of_pixels` of a picture's total weight.
+    """Return readings as observations in the channels of a camera.
 
-    The rows are reflectance factors times a cosine, like pixels; values brighter than white are scaled to white.
+    The observed values are reflectance factors times a cosine, like pixels; values brighter than white are scaled to
+    white. On average, a reading has the share `_READING` of the total weight of a picture's pixels, `of_pixels`.
     """
     channels = []
     for values in readings.values.T:
@@ -194,9 +195,9 @@ def rows_of_readings(atoms: LibraryAtoms, readings: Readings, of_pixels: float) 
 def rows_of_gloss(
     atoms: LibraryAtoms, gloss: GlossUnits, weights: Array, of_pixel: float
 ) -> list[Observation]:
-    """Return gloss as rows in every channel, with the colour that weights (3, n) predict.
+    """Return gloss values as observations in every camera channel.
 
-    Each weighs as much as a pixel.
+    The weights (3, n) of the atoms predict their colour. Each observation has the weight of one pixel, `of_pixel`.
     """
     means, unit = atoms.at_gloss_meters(tuple(gloss)), np.array([value_of_unit(angle) for angle in gloss])
     read = unit * list(gloss.values())

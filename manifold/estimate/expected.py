@@ -87,10 +87,10 @@ class Calibration:
 
         They are its plausible errors times factors, see `_factor`. If the residual is larger than the residual of
         every left-out material, the errors grow in proportion to it. If readings and pictures contradict each other,
-        the factors come from the left-out materials whose residuals are as large as those of contradictions, if there
-        are any. The ball error also includes the uncertainty of colours that were estimated from three bands or that
-        repeated readings leave open. No error is smaller than the median error with which the other readings predict
-        each reading, if `left_out` is given.
+        the factors come only from left-out materials with residuals as large as a contradiction, if there are any.
+        The ball error also includes the uncertainty of colours that were estimated from three bands or that repeated
+        readings leave open. No error is smaller than the median error with which the other readings predict each
+        reading, if `left_out` is given.
         """
         known = np.full(len(self.residuals), True)
         if completion.solution.contradiction > CONTRADICTION and np.any(self.residuals > CONTRADICTION):
@@ -320,7 +320,7 @@ def leave_out(atoms: LibraryAtoms, m: int, seen: Readings | Evidence) -> Complet
 
 
 def errors_of_weights(atoms: LibraryAtoms, m: int, weights: Array) -> Errors[float]:
-    """Return the errors of describing material m by weights (3, n) of atoms of values, in the channels of a camera."""
+    """Return the errors of weights (3, n) of atoms that hold values for material m, in the channels of a camera."""
     return errors_of(atoms, m, atoms.grid_values(weights), (weights @ atoms.on_ball).T)
 
 
@@ -328,7 +328,8 @@ def errors_of(atoms: LibraryAtoms, m: int, on_grid: Array, on_ball: Array) -> Er
     """Return the errors of values f predicted for material m, in the bands of the atoms; unknown if f is not finite.
 
     `on_grid` (P_g, B_s) is f on the grid, `on_ball` (P_b, B_s) f at the direction pairs of a ball in the five test
-    lights. For atoms of values, both are in the channels of a camera: (P_g, 3), and the pixels of the ball (K, 3).
+    lights. If the atoms hold values instead of cube roots (`is_linear`), `on_grid` (P_g, 3) is f in the channels of a
+    camera, and `on_ball` (K, 3) holds the pixels of the ball in these channels.
     """
     if not np.all(np.isfinite(on_ball)):
         return Errors()

@@ -81,7 +81,7 @@ class AdjustedBRDF(WrappedBRDF):
 def coordinates(wi: Array, wo: Array) -> Array:
     """Return coordinates of direction pairs (P, 3) in units of the correlation length, shape (P, 3).
 
-    The coordinates are the square root of the half vector's elevation, the difference angle, and the difference of
+    The coordinates are the square root of the half vector's polar angle, the difference angle, and the difference of
     the two cosines. Pairs at which every isotropic, reciprocal, bilaterally symmetric material has the same value
     have the same coordinates.
     """

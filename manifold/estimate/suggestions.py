@@ -245,7 +245,7 @@ def _mean_roots(atoms: LibraryAtoms, roots: Array) -> Array:
 
 
 def all_directions() -> tuple[Array, Array]:
-    """Return direction pairs wi (D, 3), wo (D, 3) with elevations 0, 10, ... 80 and azimuths 0, 30, ... degrees."""
+    """Return direction pairs wi (D, 3), wo (D, 3) with polar angles 0, 10, ... 80 and azimuths 0, 30, ... degrees."""
     return _product(np.arange(0, 81, 10), np.arange(0, 81, 10), np.arange(0, 181, 30))
 
 

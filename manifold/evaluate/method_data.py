@@ -54,9 +54,10 @@ class Data(Values):
         *,
         stride: int = PAIR_STRIDE,
     ) -> Data:
-        """Evaluate N materials with the same bands on a grid, in increasing indices of bands.
+        """Evaluate N materials with the same bands at the direction pairs of a grid.
 
-        By default at most `LEARNT_BANDS` evenly spaced bands are used.
+        `bands` holds the increasing indices of the bands to evaluate; by default, at most `LEARNT_BANDS` evenly spaced
+        ones.
         """
         n_bands = materials[0].bands.count
         bands = evenly_spaced(n_bands, LEARNT_BANDS) if bands is None else bands

@@ -205,7 +205,7 @@ def measure_curves(
     """Return the errors of completing each library material from the others and n readings, for all or some methods.
 
     `only` selects methods by their keys. Readings have no noise and are in the bands of the atoms. Every method chooses
-    its directions among elevations 0, 10, ... 80 degrees and azimuths in steps of 30. The last curves are completions
+    its directions among polar angles 0, 10, ... 80 degrees and azimuths in steps of 30. The last curves are completions
     at the directions of an MA-T12, without and with gloss. Finished materials are kept in the library until the run
     ends, so that an interrupted run continues.
     """

@@ -47,7 +47,7 @@ WHOLE = Storage("", "", lambda file: file)
 
 
 def compact() -> Storage:
-    """Return the compact form of libraries at its default tolerance, which is read as a whole."""
+    """Return storage in the compact form of libraries, at its default tolerance; files are read as a whole."""
     sizes: dict[str, int] = {}
 
     def reduce(file: BsdfFile) -> BsdfFile:
@@ -90,7 +90,7 @@ def few_angles(*, outgoing: int, incident: int) -> Storage:
 
 
 def interpolation(bands: Bands, count: int) -> Array:
-    """Return the matrix (B, r) from r stored bands back to all."""
+    """Return the matrix (B, r) that interpolates r stored bands to all B bands."""
     nodes, _ = _projection(bands, count)
     return interpolation_matrix(nodes, np.asarray(bands.wavelengths_nm))
 

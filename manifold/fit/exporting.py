@@ -107,7 +107,7 @@ def subject_of_source(source: MaterialSource, against: Path | None) -> Subject:
 
 
 def subject_of(path: Path, against: Path | None = None) -> Subject:
-    """Return the material of a fit's JSON, or of a `.bsdf` file, which is fitted.
+    """Return the material to export: the fit in a JSON file, or a new fit to a `.bsdf` file.
 
     For a fit, `against` is the measured file with which the export is compared; None compares it with the fit.
     """

@@ -142,7 +142,7 @@ class Words:
 
     @property
     def line(self) -> str:
-        """The line of the next word, for errors."""
+        """Text such as `line 12` that names the line of the next word, for error messages."""
         last = self._lines[min(self._line, len(self._lines) - 1)][0] if self._lines else 1
         return f"line {last}"
 
@@ -173,7 +173,7 @@ class Words:
         return self.context.number(word, f"{where}, {what}")
 
     def with_unit(self, key: str) -> float:
-        """Return the next word as degrees, or behind `Wavelength` as nanometres; a unit may follow it."""
+        """Return the next word in degrees, or in nanometres if `key` is `Wavelength`; a unit may follow the number."""
         where, word = self.line, self.next() or ""
         rest = self._words[self._word :] if self._line < len(self._lines) and self.line == where else []
         measure = number_with_unit(word)
@@ -248,10 +248,10 @@ def _plain(word: str) -> str:
 
 
 def total_scatter(values: Array, azimuth: Array, radial: Array, cosine: Array) -> float:
-    """Return the fraction of light in a table (azimuths, radials) about an axis, by the trapezoidal rule.
+    """Return the total scatter of a table (azimuths, radials), the scattered fraction of the incident light.
 
-    Angles are in radians; the cosines of theta_o broadcast. Tables with one azimuth, or over half a turn, are
-    symmetric.
+    Angles are in radians about the axis of the table; the cosines of theta_o broadcast. Tables with one azimuth, or
+    over half a turn, are symmetric. The integral is by the trapezoidal rule.
     """
     rings = values * np.abs(np.sin(radial)) * np.maximum(cosine, 0.0)
     turn = 2.0 * np.pi if radial[0] >= 0.0 else np.pi

@@ -402,7 +402,7 @@ def plain_head(head: str) -> str:
 
 
 def name_columns(heads: Sequence[str]) -> dict[str, int]:
-    """Return the columns that together name a sample, by what they name, from the general to the special.
+    """Return the columns that together name a sample, by what they name (standard, trial), the most general first.
 
     >>> name_columns(["Trial Name", "Standard Name", "400"])
     {'standard': 1, 'trial': 0}
@@ -418,7 +418,7 @@ def name_columns(heads: Sequence[str]) -> dict[str, int]:
 def sample_names(cells: Iterable[Mapping[str, str]], default: str = "") -> list[str]:
     """Return the name of each sample, from its cells by the keys of `name_columns`.
 
-    It is the cell of one column; where that is the same for several samples, with the cells that tell these apart.
+    The name is the cell of one column or, if several samples share that cell, includes the cells that distinguish them.
     `default` is the name of samples without any.
 
     >>> sample_names([{"standard": "red", "trial": ""}, {"standard": "red", "trial": "red 1"}])

@@ -27,7 +27,7 @@ _PHASE_ROUNDING = np.deg2rad(1.0)  # of angles in whole degrees
 
 
 def exceed_radians(angles: Mapping[str, Array]) -> bool:
-    """Return whether angles are too large for radians: elevations beyond pi, azimuths beyond a full turn."""
+    """Return whether angles are too large for radians: polar angles beyond pi, azimuths beyond a full turn."""
     return any(
         float(np.max(np.abs(values), initial=0.0))
         > (np.pi if name.startswith("theta") else 2.0 * np.pi) + _ROUNDING

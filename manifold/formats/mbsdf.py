@@ -1,8 +1,8 @@
-"""MBSDF files of NVIDIA's Material Definition Language, `.mbsdf`: isotropic tables over elevations and an azimuth.
+"""MBSDF files of NVIDIA's Material Definition Language, `.mbsdf`: isotropic tables over polar angles and an azimuth.
 
 A file has a line `NVIDIA ARC MBSDF V1`, lines `name="value"` of metadata, a line `MBSDF_DATA_REFLECTION=` or
-`MBSDF_DATA=`, then uint32 kind (0 one band, 1 linear RGB), count of elevations n and of azimuths m, and n x n x m
-values of f in 1/sr in float32, elevation in first and azimuth fastest, all little-endian. A block
+`MBSDF_DATA=`, then uint32 kind (0 one band, 1 linear RGB), count of polar angles n and of azimuths m, and n x n x m
+values of f in 1/sr in float32, polar angle in first and azimuth fastest, all little-endian. A block
 `MBSDF_DATA_TRANSMISSION=` may follow. Elevations range from 0 to 90 degrees, azimuths between both directions from 0
 to 180. Values lie at the centres of equal cells, as in textures, which agrees with the SDK's CUDA code and its
 sampling.
@@ -25,7 +25,7 @@ from manifold.formats.text import ErrorContext, read_bytes
 from manifold.formats.values import UNNAMED_NM
 
 SHAPE = (45, 45, 90)
-"""Numbers of elevations of both directions and of azimuths in written tables, in steps of two degrees."""
+"""Numbers of polar angles of both directions and of azimuths in written tables, in steps of two degrees."""
 
 _MAGIC = b"NVIDIA ARC MBSDF V1\n"
 _REFLECTION, _EITHER, _TRANSMISSION = (
@@ -33,7 +33,7 @@ _REFLECTION, _EITHER, _TRANSMISSION = (
     b"MBSDF_DATA=\n",
     b"MBSDF_DATA_TRANSMISSION=\n",
 )
-_COUNTS = struct.Struct("<3I")  # kind, elevations, azimuths
+_COUNTS = struct.Struct("<3I")  # kind, polar angles, azimuths
 _CHANNELS = {0: 1, 1: 3}
 _MOST_METADATA = 1 << 16  # bytes
 _MOST = 1 << 28  # bytes of a file

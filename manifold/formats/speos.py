@@ -36,7 +36,7 @@ _FLAT_NM = (350, 850)  # ends of the spectrum of a single band, as in the files 
 
 
 class _Table(NamedTuple):
-    """A table (T, P) proportional to f, its elevations (T,) and azimuths (P,) in degrees, and its line."""
+    """A table (T, P) proportional to f, its polar angles (T,) and azimuths (P,) in degrees, and its line."""
 
     theta: Array
     phi: Array
@@ -45,7 +45,7 @@ class _Table(NamedTuple):
 
 
 class _Block(NamedTuple):
-    """f in 1/sr, (T, P, B), of light from an elevation, at an anisotropy angle; degrees."""
+    """f in 1/sr, (T, P, B), of light from a polar angle, at an anisotropy angle; degrees."""
 
     theta_i: float
     turn: float
@@ -128,13 +128,13 @@ def _anisotropic(words: Words, is_bsdf: bool, has_transmission: bool) -> tuple[A
 
 
 def _incidences(words: Words) -> tuple[Array, list[Array]]:
-    """Return the anisotropy angles, and the elevations of incidence at each."""
+    """Return the anisotropy angles, and the polar angles of incidence at each."""
     turns = words.angles("anisotropy")
     return turns, [words.angles("incidence") for _ in turns]
 
 
 def _spectrum(words: Words) -> tuple[Array, Array, Array]:
-    """Return elevation and anisotropy angle of the measurement, wavelengths in nm, and percentages of light."""
+    """Return polar angle and anisotropy angle of the measurement, wavelengths in nm, and percentages of light."""
     at = words.numbers(2, "angles of the spectrum")
     words.rest()  # its title, which may be empty
     count = words.count("wavelengths")
@@ -145,7 +145,7 @@ def _spectrum(words: Words) -> tuple[Array, Array, Array]:
 
 
 def _table(words: Words, is_bsdf: bool) -> _Table:
-    """Parse counts of elevations and azimuths, the azimuths, and rows of an elevation and its values."""
+    """Parse counts of polar angles and azimuths, the azimuths, and rows of a polar angle and its values."""
     where = words.line
     n_theta, n_phi = words.count("elevations"), words.count("azimuths")
     phi = words.increasing(n_phi, "azimuths")

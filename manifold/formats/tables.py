@@ -186,7 +186,7 @@ def text_of(cell: Cell) -> str:
 
 
 def names_directions(heads: Sequence[str]) -> bool:
-    """Return whether cells are the header of a table of directions, which names both elevations."""
+    """Return whether cells are the header of a table of directions, which names both polar angles."""
     return {"theta_i", "theta_o"} <= set(angle_names(heads))
 
 
@@ -202,9 +202,9 @@ def resembles_header(heads: Sequence[str]) -> bool:
 
 
 def not_understood(heads: Sequence[str]) -> str | None:
-    """Return the heading that is not understood in a header of values and one elevation; None for other cells.
+    """Return the unknown heading in a header with values and only one polar angle; None for other cells.
 
-    It is empty if all headings are understood.
+    The result is empty if all headings are understood.
 
     >>> not_understood(["AOI", "AOR", "BRDF"]), not_understood(["the", "incidence", "of", "BRDF"])
     ('AOR', None)
@@ -222,8 +222,9 @@ def not_understood(heads: Sequence[str]) -> str | None:
 def name_cells(table: Table, row: int, names: Mapping[str, int], above: tuple[str, ...]) -> tuple[str, ...]:
     """Return the cells that name the sample of a row.
 
-    `names` are columns as `column_heads.name_columns` returns them. An empty cell has the text of the row above if the
-    cells before it have. Beside a standard, and in columns of trials and batches, it means that there is none.
+    `names` are columns as `column_heads.name_columns` returns them. An empty cell takes the text of the row above if
+    all cells before it equal the cells of that row. If a cell before it has a text, an empty cell after the name of a
+    standard, or in a column of trials or batches, stays empty.
     """
     cells: list[str] = []
     is_said = is_standard = False

@@ -1,6 +1,6 @@
 """UTIA files, `.bin`: anisotropic BRDFs in linear sRGB at 6 x 48 incident and 6 x 48 outgoing directions.
 
-A file has float64 values without a header, with index `plane * 288^2 + 288 (48 ti + pi) + 48 tv + pv`; elevations are
+A file has float64 values without a header, with index `plane * 288^2 + 288 (48 ti + pi) + 48 tv + pv`; polar angles are
 0, 15, ... 75 degrees, azimuths multiples of 7.5 degrees.
 
 Source: Filip & Vavra 2014, "Template-based sampling of anisotropic BRDFs".
@@ -73,7 +73,7 @@ def read(path: Path) -> list[DenseTable]:
 def _largest_albedo(values: Array) -> float:
     """Return the largest directional albedo of f (theta_i, phi_i, theta_o, phi_o, 3)."""
     edges = np.append(np.maximum(axes()[2] - np.deg2rad(7.5), 0.0), 0.5 * np.pi)
-    rings = np.pi * np.diff(np.sin(edges) ** 2)  # projected solid angle around every elevation
+    rings = np.pi * np.diff(np.sin(edges) ** 2)  # projected solid angle around every polar angle
     return float(np.max(np.einsum("o,aboc->abc", rings, values.mean(axis=3))))
 
 

@@ -25,7 +25,7 @@ class Slices(NamedTuple):
     """The parameters that, with `ndf`, determine the tables of visible normals of P x T incident directions.
 
     Attributes:
-        elevations_rad: elevations of the incident directions in radians, shape (P, T), limited at the horizon.
+        elevations_rad: polar angles of the incident directions in radians, shape (P, T), limited at the horizon.
         factors: factor of each table, shape (P, T).
     """
 

@@ -232,7 +232,7 @@ class BlendTables:
 def fit_landmarks(
     appearance: Appearance, samples: BlendSamples, count: int, latent_dim: int, kernel: Kernel,
 ) -> BlendSpace:  # fmt: skip
-    """Fit a map to N materials through `count` landmarks and return it; the cost is linear in N."""
+    """Fit a map to N materials through `count` landmarks; the number of comparisons of materials is linear in N."""
     N, everything = len(appearance), np.arange(len(appearance))
     compared = {}
     scale = appearance.subset(evenly_spaced(N, count)).distances().scale

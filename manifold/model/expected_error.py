@@ -260,8 +260,8 @@ class LeftOut:
         """Return whether predictions at latents x (M, Q) are not supported by the data, shape (M,).
 
         A prediction is not supported if its expected ball error is above 10 CIEDE2000 and above the 90th percentile
-        of the left-out materials, or if the nearest material is farther away than any material is from its nearest
-        neighbour.
+        of the left-out materials' errors, or if the nearest material is farther away than any material is
+        from its nearest neighbour.
         """
         X = self.space.X
         is_far = nearest_distance(x, X) > widest_gap(X)

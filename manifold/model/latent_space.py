@@ -184,7 +184,7 @@ class LatentSpace(ABC):
         """Return a function that locates each material among the others, whose latents stay fixed."""
 
     def combination(self, x: Array, colours: Array | None, mapping: ValueMapping) -> Combination:
-        """Return the weighted sum of a prediction at a latent x (Q,); at a training latent, only that material."""
+        """Return the materials and weights that predict at a latent x (Q,); at `training_index`, only that material."""
         k = self.training_index(x, colours)
         if k is not None:
             return Combination(mapping, np.eye(len(self.X))[k])

@@ -376,7 +376,7 @@ class Manifold(Embedding):
         return PredictedBRDF(self.materials.in_bands(bands, names), combination, self.bands)
 
     def combination(self, x: Array, colours: Array | None) -> Combination:
-        """Return the weighted sum of a prediction at a latent x (Q,); at a training latent, only that material."""
+        """Return the materials and weights that predict at a latent x (Q,); see `LatentSpace.combination`."""
         return self.space.combination(x, self.space.require_colours(colours), self.mapping)
 
     def linear(self, a: str, b: str, alpha: float) -> PredictedBRDF:

@@ -91,7 +91,7 @@ class MaterialCache:
         return self.names.index(name)
 
     def measured(self, name: str) -> MeasuredBRDF:
-        """Return a material with its unmeasured cells filled and its negative values."""
+        """Return a material with its unmeasured cells filled; negative values are kept."""
         self.index(name)
         if name not in self._measured:
             is_same = name in self._filled and name not in self._cut
@@ -103,7 +103,7 @@ class MaterialCache:
         return self._read(self._fill, self.names if names is None else tuple(names))
 
     def with_negative_values(self, names: Sequence[str] | None = None) -> list[MeasuredBRDF]:
-        """Return materials, by default all, as references for errors: with filled cells, and with negative values."""
+        """Return materials, by default all, as references for errors: with filled cells, and negative values kept."""
         names = self.names if names is None else names
         filled = self.filled(names)
         return [

@@ -37,7 +37,7 @@ _OF_VALUES = 0.25  # how much the squared error of values counts beside that of 
 class ComparedValues:
     """The values that a reconstruction compares: at direction pairs, then at K pixels of balls in the lights of fits.
 
-    `pixel_weights` (K,) makes all lights count equally.
+    `pixel_weights` (K,) give all lights the same total weight.
     """
 
     def __init__(self, pairs: Pairs) -> None:
@@ -158,8 +158,9 @@ def few_atoms(bands: Sequence[Observation], numbers: int, lambertian: int) -> Ar
 
     It minimises the objective of `estimator.explain` without a prior, with at most `numbers` parameters. An atom
     costs one parameter for its index, and one weight per band or one weight for all bands; the Lambertian needs no
-    index. Atoms are added in the order of the error that they save per parameter; then each is removed in turn and
-    replaced if another improves the fit.
+    index. Atoms are added greedily in two ways, by the error that they save and by the error that they save per
+    parameter, and the result with the lower error is kept. Then single atoms and pairs are exchanged if that improves
+    the fit.
     """
     atoms, seen = bands[0].atoms, np.array([band.seen for band in bands])
 
@@ -197,9 +198,9 @@ class _NumberSearch:
         self._norms = np.maximum((slopes**2) @ (atoms**2).T, np.finfo(float).tiny)  # [B, n]
 
     def extended(self, terms: list[_Term], numbers: int) -> tuple[list[_Term], float]:
-        """Add the terms that save most error, or most per number, within the numbers left.
+        """Add terms greedily within the numbers left, by the error saved and by the error saved per number.
 
-        Return the terms and the squared error.
+        Return the terms of the better result, and the squared error.
         """
         return min((self._extended(terms, numbers, power) for power in (0, 1)), key=lambda found: found[1])
 

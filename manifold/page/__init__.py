@@ -1,4 +1,4 @@
-"""The interactive map: a web page with the tables from which it predicts, and its server."""
+"""The interactive map: a web page that holds the tables for its predictions, and the server of that page."""
 
 import lazy_loader
 

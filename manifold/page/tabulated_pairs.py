@@ -13,7 +13,7 @@ from manifold.estimate.gloss import half_gloss_meter
 from manifold.model.decoding import REFLECTANCE_INCIDENCE_DEG
 
 SLICE_INCIDENCES_DEG = (20.0, 40.0, 60.0)
-_SPHERE_NODES = 20  # nodes in elevation and in azimuth
+_SPHERE_NODES = 20  # nodes in polar angle and in azimuth
 
 
 GRID_SHAPE = (45, 23, 12)

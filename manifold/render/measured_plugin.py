@@ -1,9 +1,9 @@
 """Loads Mitsuba's plugin `measured` so that it does not rotate or mirror directions.
 
-The plugin reduces incident azimuths by the number of times that an anisotropic file repeats. For an isotropic file
-this number (`m_reduction`) is not initialised. What the memory held before decides whether an instance evaluates
-directions as they are, rotates them by half a turn, which changes values by rounding, or mirrors them, which exchanges
-the noise of both sides of the plane of incidence.
+If an anisotropic file covers a half or a quarter of the azimuths, the plugin folds incident azimuths into this range.
+For an isotropic file, the number of repetitions (`m_reduction`) is not initialised. Whether an instance evaluates
+directions as they are, rotates them by half a turn (which changes values by rounding) or mirrors them (which exchanges
+the noise of both sides of the plane of incidence) depends on earlier contents of the memory.
 
 Source: https://github.com/mitsuba-renderer/mitsuba3/pull/1850, open for Mitsuba 3.9.1.
 """

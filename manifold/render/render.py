@@ -118,7 +118,7 @@ def render_floating_ball(
 
 
 def require_d65(illuminant: Illuminant) -> None:
-    """Raise UsageError for an illuminant other than D65, under which linear sRGB colours are undefined."""
+    """Raise UsageError unless the illuminant is D65; linear sRGB colours are defined only under D65."""
     if not illuminant.is_d65:
         raise UsageError(
             f"illuminant {illuminant.name} needs a spectrum, and RGB materials have none; use the _spec file, or D65"

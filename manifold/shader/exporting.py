@@ -61,7 +61,7 @@ class Shader:
         table: the smallest table within the tolerance, or the best table of at most `MOST_BYTES`.
         errors: errors of the table against the source.
         source, against: the material, and its origin: a measured, completed or predicted file, or a fit.
-        reference: a finer table, which the page shows as the source, and its error.
+        reference: a finer table, which the page draws in place of the source, and its error.
         notes: sentences for users.
     """
 

@@ -21,10 +21,10 @@ _MODULES = ("colour", "webgl", "difference")
 def make_page(
     layout: dict[str, Any], glsl: str, table: ShaderTable, reference: tuple[ShaderTable, float]
 ) -> str:
-    """Return the page as HTML.
+    """Return an HTML page that shows the balls of a material and of its shader.
 
-    `layout` is the content of the layout's JSON; the finer table of `reference`, whose error follows it, is drawn as
-    the source.
+    `layout` is the content of the layout's JSON file. `reference` holds a finer table, which is drawn in place of the
+    material, and the error of that table.
     """
     errors, finer = layout["errors"], reference[0]
     document = {

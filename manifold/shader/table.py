@@ -43,7 +43,7 @@ class Shape:
         bytes: size of the texture in bytes.
         incidences: number of angles of incidence, T.
         values: nodes per axis of the values, R.
-        columns, rows: nodes of the sums over x (elevation) and y (azimuth) of the half vector.
+        columns, rows: nodes of the sums over x (polar angle) and y (azimuth) of the half vector.
         nodes: nodes of the normal distribution, N.
     """
 
@@ -56,7 +56,7 @@ class Shape:
 
     @classmethod
     def of(cls, incidences: int, values: int, columns: int, rows: int, nodes: int) -> Shape:
-        """Return the shape with these numbers of nodes, and with the bytes of its texture."""
+        """Return the shape with these numbers of nodes, and compute the size of its texture in bytes."""
         made = cls(0, incidences, values, columns, rows, nodes)
         return replace(made, bytes=made.width * made.height * TEXEL_BYTES)
 
@@ -213,7 +213,7 @@ def shapes_of(file: BsdfFile, most_bytes: int) -> list[Shape]:
 
 
 SUMS = ((16, 12), (24, 12), (24, 16), (32, 16), (32, 24), (48, 24), (48, 32), (64, 32), (64, 48), (96, 64))
-"""Columns and rows of the sums that are tried; elevations of half vectors need more nodes than azimuths."""
+"""Columns and rows of the sums that are tried; polar angles of half vectors need more nodes than azimuths."""
 _VALUES = (16, 24, 32, 48)  # nodes per axis of the values that are tried, and those of the file
 _LEAST_INCIDENCES = 6  # files of the RGL database have eight
 

@@ -88,7 +88,7 @@ def fit_target(target: Target, start: Mapping[str, Any], samples: FitSamples) ->
 def at_bounds(target: Target, values: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the names of fitted parameters that ended at a bound of their range, with the bound.
 
-    Bounds that mean none or all do not count: 0 of any share or colour, and 1 of a share that is not a colour.
+    The natural limits of shares do not count: 0 for colours and other shares, and 1 for shares that are not colours.
     """
     found = []
     for name, parameter in target.entries.items():

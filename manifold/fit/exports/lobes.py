@@ -65,9 +65,9 @@ class ShadingPairs:
 
 
 def per_pairs(function: Function) -> Function:
-    """Cache a function's last results in the pairs, because fits vary one parameter at a time.
+    """Decorate a function of `ShadingPairs` so that the pairs cache its last results, which are read-only.
 
-    Results are read-only.
+    Fits vary one parameter at a time, so most results are used again.
     """
 
     @wraps(function)

@@ -303,7 +303,7 @@ class Evaluation:
         return Family(*m[0:4]), Family(*m[4:8]), m[8:]
 
     def _slices(self, i: Any, theta: Any, phi: Any, n_theta: Any, n_phi: Any, active: Any) -> Slices:
-        """Return the slices around incident directions: elevations around theta, azimuths around phi if any."""
+        """Return the slices around incident directions: polar angles around theta, azimuths around phi if any."""
         dr = self._dr
         (low, high), t = self._around(self._theta_nodes, self._n_theta, i, theta, n_theta, active)
         if (n_phi if isinstance(n_phi, int) else self._n_phi) == 1:

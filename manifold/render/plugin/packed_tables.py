@@ -19,13 +19,13 @@ from manifold.core.records import AnyArray, Array, BsdfFile
 WARP_VALUES = 8
 """Number of values per cell of a warp: densities at four corners, sums before the cell in both rows, sums of both rows.
 
-A packet of 64 bytes holds these values for one elevation, then for the next."""
+A packet of 64 bytes holds these values for one polar angle, then for the next."""
 
 MOST_BANDS_AT_ONCE = 8
 """Largest number of bands that are read together; of more bands, only those of the needed wavelengths are read."""
 
 SPECTRUM_PACKET = 8
-"""Number of values per cell and band of spectra: four corners at one elevation, then at the next."""
+"""Number of values per cell and band of spectra: four corners at one polar angle, then at the next."""
 
 META = 32
 """Number of integers per material, a power of two so that they are read at once; see `PackedTables.meta`."""
@@ -41,17 +41,17 @@ class PackedTables:
     Attributes:
         meta: start and size of the parts of each material, uint32, shape (N * META,): vndf cell, its marginal, rows
             and columns; luminance cell, its marginal, rows and columns; ndf cell, rows and columns; sigma cell, rows
-            and columns; spectra cell; numbers of elevations and azimuths of incidence; `ISOTROPIC`, or how often
+            and columns; spectra cell; numbers of polar angles and azimuths of incidence; `ISOTROPIC`, or how often
             azimuths repeat in a turn; and the bits, as float32, of the azimuth by which the specimen was turned.
         theta_nodes: angles of incidence in radians, padded by repeating the last, float32, shape (N * T,).
         n_theta: T, the largest number of angles of incidence of a material.
         phi_nodes: incident azimuths in radians, padded in the same way, float32, shape (N * P,).
         n_phi: P, the largest number of incident azimuths of a material.
-        warps: cells of vndf and luminance per azimuth and two neighbouring elevations, float32, shape (cells * 16,).
+        warps: cells of vndf and luminance per azimuth and two neighbouring polar angles, float32, shape (cells * 16,).
         marginals: cumulative sums of the rows of these warps, float32.
         grids: cells of ndf and sigma, four corners each, float32, shape (cells * 4,).
-        spectra: for each azimuth, pair of neighbouring elevations, cell and band, the four corners at both
-            elevations, shape (pairs * cells * bands * 8,). They are float32 for few bands and float16 for many, for
+        spectra: for each azimuth, pair of neighbouring polar angles, cell and band, the four corners at both
+            polar angles, shape (pairs * cells * bands * 8,). They are float32 for few bands and float16 for many, for
             which memory traffic dominates; float16 values are scaled by a power of two, and `ndf` by its inverse.
         n_bands: number of bands per cell in `spectra`, padded with zeros.
         most_nodes: largest number of nodes along an axis of a warp.
@@ -176,9 +176,9 @@ def _corners(grid: Array) -> Array:
 
 
 def _neighbours(slices: Array) -> Array:
-    """Return each of T elevations (P, T, ..., K) with the next, shape (P, T - 1, ..., 2, K).
+    """Return each of T polar angles (P, T, ..., K) with the next, shape (P, T - 1, ..., 2, K).
 
-    A single elevation is returned with itself.
+    A single polar angle is returned with itself.
     """
     upper = slices[:, 1:] if slices.shape[1] > 1 else slices
     return np.stack([slices[:, : upper.shape[1]], upper], axis=-2)

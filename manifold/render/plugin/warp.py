@@ -25,11 +25,11 @@ class Family:
 
 @dataclass(frozen=True, eq=False)
 class Slices:
-    """The densities around an incident direction, for each lane: two elevations at one or two azimuths.
+    """The densities around an incident direction, for each lane: two polar angles at one or two azimuths.
 
     Attributes:
-        at: for each azimuth, the index of the packet of both elevations, and the two indices of the elevations.
-        t: weight of the second elevation.
+        at: for each azimuth, the index of the packet of both polar angles, and the two indices of the polar angles.
+        t: weight of the second polar angle.
         s: weight of the second azimuth.
     """
 
@@ -71,7 +71,7 @@ class PackedWarps:
         return values[0] if len(values) == 1 else self._dr.lerp(*values, slices.s)
 
     def _indices(self, family: Family, slices: Slices, i: Any, j: Any) -> list[Any]:
-        """Return the packet numbers of a cell, each with both elevations."""
+        """Return the packet numbers of a cell, each with both polar angles."""
         return [
             family.cells + (pair * (family.rows - 1) + i) * (family.columns - 1) + j
             for pair, _, _ in slices.at

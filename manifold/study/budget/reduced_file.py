@@ -120,8 +120,8 @@ def _resampled(values: Array, n: int) -> Array:
 def kept_elevations(file: BsdfFile, theta_rad: Array, count: int) -> Array:
     """Return increasing indices (count,) of the angles of incidence that a scene needs most.
 
-    `theta_rad` (M,) are the elevations that occur in the scene. Nodes are removed one by one. Each step removes the
-    node that its neighbours interpolate best, weighted by the frequency of elevations near it. The first and the last
+    `theta_rad` (M,) are the polar angles that occur in the scene. Nodes are removed one by one. Each step removes the
+    node that its neighbours interpolate best, weighted by the frequency of polar angles near it. The first and the last
     node stay.
     """
     nodes = np.asarray(file.theta_i_rad, dtype=float)

@@ -26,7 +26,7 @@ _LEAST = 1e-3  # share of the limit: smaller errors are drawn here
 
 
 def panels(made: Stability, modes: Sequence[Mode]) -> Figure:
-    """Draw the error over its limit against severity; above 1 a message is required."""
+    """Draw a panel per mode: the error divided by its limit, against severity. Above 1, a message is required."""
     shown = [mode for mode in modes if any(row.mode == mode.key for row in made.rows)]
     columns = min(_COLUMNS, len(shown))
     n_rows = -(-len(shown) // columns)

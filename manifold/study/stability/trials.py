@@ -30,7 +30,8 @@ class Measurement:
     """The error of one result of a trial, and the messages that came with it.
 
     Attributes:
-        error: the quantity that the mode limits, at least 0; not finite if a method gave no usable number.
+        error: the error that is compared with the limit of the failure mode, at least 0; not finite if a method gave no
+            usable number.
         messages: diagnostics and notes that came with the result.
     """
 

@@ -267,7 +267,7 @@ def find_outlines(display: Array, where: str) -> list[Outline]:
     # A highlight on a dark ball has the sharper edge, but lies within the outline.
     larger = [one for _, one in found if _encloses(one.scaled(1.0 / factor), circle)]
     around = [_refined(smooth, one, 1.0 / factor) for one in larger[:_REFINED]]
-    still = [pair for pair in around if _encloses(pair[1], circle)]
+    still = [pair for pair in around if pair[1].radius > _LARGER * circle.radius]
     support, enclosing = max(still, key=lambda pair: pair[0], default=(0.0, circle))
     if support >= _LEAST_SUPPORT and _is_within(enclosing, grey):
         circle = enclosing

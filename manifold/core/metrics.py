@@ -37,7 +37,7 @@ class Errors(Generic[Number]):
         worst, worst_light: mean CIEDE2000 over the ball in the light where it is largest; the light's name (of one
             BRDF).
         ball_itp: mean Delta E_ITP (ITU-R BT.2124) over the ball and the five test lights.
-        fitted_ball: mean CIEDE2000 over the ball and the lights of fits.
+        fitted_ball: mean CIEDE2000 over the ball and the lights used for fitting.
         rmse: eq. 22 of Hikichi & Iwasaki, in 1/sr; bands are summed.
         rmse_80: like `rmse`, over directions within 80 degrees of the normal, weighted by both cosines.
         near_mirror: cube-root error of directions within `NEAR_MIRROR_DEG` of the mirror direction.

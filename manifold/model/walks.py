@@ -236,7 +236,7 @@ class Walk:
 
     @cached_property
     def shares(self) -> Array:
-        """Return the share of the second material at `WALK_NODES` even values of t."""
+        """Return the share of the second material at `WALK_NODES` equally spaced values of t."""
         return walk_shares(*self.walked)
 
     def at(self, t: float) -> PredictedBRDF:

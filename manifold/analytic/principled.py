@@ -75,7 +75,7 @@ class Diffuse:
         return np.stack([0.0 * self._white, self._white, 0.0 * self._white])[:, None]
 
     def slopes(self, values: Mapping[str, float], names: Collection[str]) -> tuple[Array, dict[str, Array]]:
-        """Return the coefficients (3, M) as `coefficients` does, and no derivatives."""
+        """Return the coefficients a, b, c (3, M) of `coefficients`, and no derivatives."""
         return self.coefficients(values)[:, 0], {}
 
 

@@ -69,7 +69,7 @@ class Errors(Generic[Number]):
 
     @classmethod
     def of_values(cls, f: Array, f_star: Array, weight: Array | float = 1.0) -> Errors[float]:
-        """Return the cube-root and linear errors of f_star (..., B) against f (..., B), with a weight (...) or scalar."""
+        """Return the cube-root and linear errors of f_star (..., B) against f (..., B), with weights (...) or one."""
         found = _errors_of(f, f_star, weight)
         return Errors(cube_root=float(found.cube_root), linear=float(found.linear))
 

@@ -73,7 +73,7 @@ def load(source: Path) -> list:
 
 
 def fit_nearest_ball(data: Data, training: Indices) -> Encode:
-    """Predict the material whose ball differs least, by CIEDE2000 in the lights of fits, in which none is judged."""
+    """Predict the material whose ball differs least, by CIEDE2000 in the lights used for fitting."""
     lights = panel.fitted()
 
     def xyz() -> list[Array]:

@@ -101,7 +101,7 @@ def _module(name: str) -> ModuleType:
 def _page_of(package: str, module: ModuleType, page: Page) -> list[str]:
     lines = [f"# {package}", "", inspect.getdoc(module) or "", ""]
     if page.setup:
-        lines += ["The examples on this page assume:", "", "```python", page.setup, "```", ""]
+        lines += ["The examples below begin with:", "", "```python", page.setup, "```", ""]
     for full, code in page.examples.items():
         if full == package:
             own = [] if hasattr(module, "__path__") else _entries_of(module)

@@ -1,4 +1,4 @@
-"""Gaussian-process regression with one kernel for all outputs, as Hikichi & Iwasaki predict BRDFs.
+"""Gaussian-process regression with one kernel for all outputs, the method by which Hikichi & Iwasaki predict BRDFs.
 
 Because all outputs share one kernel, a prediction is a weighted sum of the training samples with weights
 `w = K^-1 k*` (eq. 13). `GaussianProcess` therefore depends only on the latents, and uses outputs only through their

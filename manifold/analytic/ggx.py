@@ -252,7 +252,11 @@ class GGXMixture:
         return sum(share * ggx.pdf_reflection(wi, wo) for share, ggx in self._surfaces)  # type: ignore[return-value]
 
     def albedo_table(self, reflectance: Array) -> MixedAlbedo:
-        """Return the directional albedo of single scattering; the argument is that of `GGX.albedo_table`."""
+        """Return the directional albedo of single scattering for a Fresnel reflectance.
+
+        Args:
+            reflectance: Fresnel reflectance at `facet_cosines()`, shape (n_cosines, B).
+        """
         return MixedAlbedo([(share, ggx.albedo_table(reflectance)) for share, ggx in self._surfaces])
 
 

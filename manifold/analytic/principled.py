@@ -71,11 +71,11 @@ class Diffuse:
         return type(self)(wi[rows], wo[rows])
 
     def coefficients(self, values: Mapping[str, Array | float]) -> Array:
-        """Return the coefficients of f cos(theta_o) in 1/sr: constant, per colour and per tint, shape (3, 1, M)."""
+        """Return a, b and c of f cos(theta_o) = a + b colour + c tint in 1/sr, shape (3, 1, M)."""
         return np.stack([0.0 * self._white, self._white, 0.0 * self._white])[:, None]
 
     def slopes(self, values: Mapping[str, float], names: Collection[str]) -> tuple[Array, dict[str, Array]]:
-        """Return the coefficients (3, M) as `coefficients` does, and no derivatives."""
+        """Return the coefficients a, b, c (3, M) of `coefficients`, and no derivatives."""
         return self.coefficients(values)[:, 0], {}
 
 

@@ -58,8 +58,9 @@ class Cells:
 def cells_of(
     file: BsdfFile, slices: Iterable[Sequence[int]] | None = None
 ) -> Iterator[tuple[int, int, Cells]]:
-    """Yield `(p, t, cells)` for the slices of a file: the indices of azimuth and polar angle, and the cells.
+    """Yield `(p, t, cells)` for the slices of a file.
 
+    `p` and `t` are indices of the incident azimuth and polar angle, and `cells` are those of the outgoing grid.
     `slices` selects pairs (p, t); None yields all.
     """
     warp = Warp(file.vndf, file.phi_i_rad, file.theta_i_rad)

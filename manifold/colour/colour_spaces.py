@@ -58,7 +58,7 @@ SRGB = ColourSpace("sRGB", (decode_srgb,))
 
 
 def power(gamma: float) -> tuple[Curve, ...]:
-    """Return the tone curve of a power, empty for 1."""
+    """Return the tone curve `codes ** gamma` as a tuple of one function, empty if gamma is 1."""
     return () if abs(gamma - 1.0) < _SAME else (lambda codes: np.maximum(codes, 0.0) ** gamma,)
 
 

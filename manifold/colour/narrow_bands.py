@@ -111,9 +111,9 @@ def _error_in_words(errors: tuple[float, float]) -> str:
 
 
 def in_daylight(readings: Readings) -> Readings:
-    """Return readings in linear sRGB relative to D65/2, with a note about the error if they had another light.
+    """Convert readings in linear sRGB to D65/2, with a note about the error, if they had another light or observer.
 
-    Other readings are returned unchanged.
+    Spectral readings are returned unchanged.
     """
     if readings.wavelengths_nm is not None or readings.viewing == DAYLIGHT:
         return readings
@@ -140,7 +140,7 @@ def in_daylight(readings: Readings) -> Readings:
 
 @lru_cache(maxsize=8)
 def conversion_errors(viewing: Viewing) -> tuple[float, float]:
-    """Return median and 90th percentile of the CIEDE2000 of measured reflectances after conversion to D65/2."""
+    """Return median and 90th percentile of CIEDE2000 for measured reflectances converted from a viewing to D65/2."""
     f = _reflectances()[1] / np.pi
     found = lab_under_d65(lab_values(f, SPECTRUM, viewing), viewing)
     errors = delta_e_2000_lab(found, lab_values(f, SPECTRUM))

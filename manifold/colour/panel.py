@@ -1,4 +1,4 @@
-"""Two sets of lights: the lights of fits, and the test lights in which errors are measured.
+"""Two sets of lights: those used for fitting, and the test lights in which errors are measured.
 
 A single soft light underestimates errors, because a fit to it looks worse in other lights. Therefore fits minimise
 the error of the ball in several lights, and errors are measured in five others, `judged_lights.JUDGED`: the mean over
@@ -26,7 +26,7 @@ from manifold.core.records import Array, Bands, Indices
 FITTED = (
     "studio 60", "studio 180", "studio 300", "overcast", "sun 20", "sun 35", "sun 60", "sun 75", "sun 110",
 )  # fmt: skip
-"""The lights of fits: the studio turned by an angle in degrees, suns at an angle from the view, an overcast sky."""
+"""Lights used for fitting: the studio turned by an angle in degrees, suns at an angle to the view, an overcast sky."""
 
 SUN_DEG = 45.0
 """Angle between the view and the sun under which highlights are looked at."""
@@ -120,12 +120,12 @@ def panel(names: tuple[str, ...], *lit: int, sun_pixels: int = _SUN_PIXELS) -> P
 
 
 def fitted(*lit: int, sun_pixels: int = _SUN_PIXELS) -> Panel:
-    """Return the panel of the lights of fits."""
+    """Return the panel of the lights used for fitting."""
     return panel(FITTED, *lit, sun_pixels=sun_pixels)
 
 
 def sun(degrees: float) -> Picture:
-    """Return the ball under one of the suns, as in panels."""
+    """Return the pixels of the ball under a sun `degrees` to the right of the view, at the resolution of panels."""
     return ball_colours.sun_ball(degrees, _SUN_PIXELS)
 
 

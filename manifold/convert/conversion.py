@@ -92,7 +92,7 @@ class Conversion(Result):
     notes: tuple[str, ...] = field(metadata=entry())
 
     def write_report(self, path: Path, output: Path) -> None:
-        """Write a page of HTML about the file that was written."""
+        """Write an HTML page about the written file."""
         sections = [html_page.Section("Conversion", self.rows)]
         shown = open_source([output]).interpolated
         if not isinstance(shown, UsageError):

@@ -228,7 +228,7 @@ def _mirrored(wi: Array, h: Array) -> Array:
 
 
 def _both_sides(place: Array, values: Array) -> tuple[Array, Array]:
-    """Return both halves of the disk of an isotropic sample of which one was measured."""
+    """Mirror the measured half of an isotropic sample's disk if only that half was measured."""
     side = place[:, 1]
     if np.all(side > -_SAME_ANGLE) or np.all(side < _SAME_ANGLE):
         off = np.abs(side) > _SAME_ANGLE

@@ -3,7 +3,7 @@
 A message is one line that says where the error occurred, what was found, what was expected, and what to do. Each class
 also derives from the built-in exception that Python raises in such a case:
 
-| class | also | raised if |
+| class | also derives from | raised if |
 |---|---|---|
 | `FileFormatError` | `ValueError` | a file is not what its name promises |
 | `ShapeError` | `ValueError` | an array has the wrong shape or dtype, or holds values that are not finite |

@@ -37,7 +37,7 @@ class Errors(Generic[Number]):
         worst, worst_light: mean CIEDE2000 over the ball in the light where it is largest; the light's name (of one
             BRDF).
         ball_itp: mean Delta E_ITP (ITU-R BT.2124) over the ball and the five test lights.
-        fitted_ball: mean CIEDE2000 over the ball and the lights of fits.
+        fitted_ball: mean CIEDE2000 over the ball and the lights used for fitting.
         rmse: eq. 22 of Hikichi & Iwasaki, in 1/sr; bands are summed.
         rmse_80: like `rmse`, over directions within 80 degrees of the normal, weighted by both cosines.
         near_mirror: cube-root error of directions within `NEAR_MIRROR_DEG` of the mirror direction.
@@ -69,7 +69,7 @@ class Errors(Generic[Number]):
 
     @classmethod
     def of_values(cls, f: Array, f_star: Array, weight: Array | float = 1.0) -> Errors[float]:
-        """Return the cube-root and linear errors; the arguments are those of `relative_error`."""
+        """Return the cube-root and linear errors of f_star (..., B) against f (..., B), with weights (...) or one."""
         found = _errors_of(f, f_star, weight)
         return Errors(cube_root=float(found.cube_root), linear=float(found.linear))
 
@@ -228,7 +228,7 @@ def relative_error(f: Array, f_star: Array, weight: Array | float = 1.0) -> floa
 def cube_root_error(f: Array, f_star: Array, weight: Array | float = 1.0) -> float:
     """Return `||(w f*)^(1/3) - (w f)^(1/3)|| / ||(w f)^(1/3)||`.
 
-    Highlights have less weight than in the linear error. The arguments are those of `relative_error`.
+    Highlights have less weight than in the linear error. Shapes: f and f_star (..., B), weight w (...) or a scalar.
     """
     return float(_errors_of(f, f_star, weight).cube_root)
 

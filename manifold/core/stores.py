@@ -75,7 +75,7 @@ class Entry:
 
     @classmethod
     def of_folder(cls, path: Path) -> Entry:
-        """Return a folder of the file system."""
+        """Return the entry of a folder of the file system."""
         return cls(FolderStore(path))
 
     def __truediv__(self, name: str) -> Entry:

@@ -45,7 +45,7 @@ class Channels(NamedTuple):
     def of_library(cls, library: Library, names: tuple[str, ...], file: Path | None = None) -> Channels:
         """Return the channels of a camera, from a file of its sensitivities, or by default those of linear sRGB.
 
-        The bands of the library are estimated from the channels by its named materials (`band_matrix`).
+        The conversion from the channels to the library's bands is learned from its named materials (`band_matrix`).
         """
         responses = srgb_responses(library.bands) if file is None else read_responses(file, library.bands)
         return cls(responses, band_matrix(library, names, responses))

@@ -100,8 +100,8 @@ class Coated(Result):
         alpha, index: roughness and refractive index of the coat.
         lab: CIELAB colour of the written file, shape (3,).
         gloss: gloss units of the written file by angle in degrees.
-        expected: expected errors, because a colour and gloss do not determine the BRDF, and because the colour may
-            not be reached.
+        expected: expected errors, as colour and gloss do not determine the BRDF; the ball error includes the colour
+            difference if the colour is not reached.
         plausibility: physical plausibility of the written file.
         suggested: the readings to take next; None if none were requested.
         diagnostics: sentences that a user should read.

@@ -184,13 +184,13 @@ class Completed(Result):
     @property
     @derived()
     def lab(self) -> tuple[Array, Array] | None:
-        """CIELAB colours of the readings and of the completion there, each (P, 3); None without colours."""
+        """CIELAB colours of the readings, and of the completion at the same directions, each (P, 3), or None."""
         return None if self._readings is None else self.completion.colours
 
     @property
     @derived(row="colours at the readings", words=lambda result: result.colours_in_words())
     def misfits_ciede2000(self) -> Array | None:
-        """CIEDE2000 between every reading and the completion there, (P,); None without colours."""
+        """CIEDE2000 between each reading and the completion at its directions, (P,); None without colours."""
         return None if self._readings is None else self.completion.colour_misfits
 
     left_out_readings: LeftOutReadings | None = field(

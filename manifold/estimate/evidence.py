@@ -71,7 +71,7 @@ class Evidence:
         return cls(readings, readings.gloss, at)
 
     def __str__(self) -> str:
-        """Return what there is, in words."""
+        """Return a text that counts the pictures and readings and names the gloss."""
         parts = [counted(len(self.pictures), "picture")] if self.pictures else []
         if self.readings is not None:
             parts.insert(0, counted(len(self.readings), "reading"))

@@ -320,7 +320,7 @@ def leave_out(atoms: LibraryAtoms, m: int, seen: Readings | Evidence) -> Complet
 
 
 def errors_of_weights(atoms: LibraryAtoms, m: int, weights: Array) -> Errors[float]:
-    """Return the errors of weights (3, n) of atoms that hold values for material m, in the channels of a camera."""
+    """Return the errors of predicting material m with weights (3, n) of atoms of values, in a camera's channels."""
     return errors_of(atoms, m, atoms.grid_values(weights), (weights @ atoms.on_ball).T)
 
 

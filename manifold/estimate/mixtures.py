@@ -95,7 +95,7 @@ class Mixtures:
         material_of: Indices,
         n_library: int | None = None,
     ) -> Mixtures:
-        """Fit all mixtures as `fitted` does, from inner products.
+        """Fit all mixtures to observations of which only inner products are given.
 
         Args:
             inner: inner products of the atoms and, last, the Lambertian, shape (n + 1, n + 1).
@@ -229,9 +229,9 @@ class Hypotheses:
     alike: Alike
 
     def among(self, index: Indices, n: int) -> Hypotheses:
-        """Return the same hypotheses with weights of n atoms, of which theirs are a part.
+        """Return the hypotheses with weights of n atoms, zero for atoms that the hypotheses lack.
 
-        `index` holds the positions of the present atoms among the n.
+        `index` holds the positions of the hypotheses' atoms among the n.
         """
         weights, mean = np.zeros((len(self.weights), n)), np.zeros((len(self.mean), n))
         weights[:, index], mean[:, index] = self.weights, self.mean

@@ -29,7 +29,7 @@ _SIZE, _SAMPLES = 256, 32  # pixels a side, and samples per pixel, of predicted 
 
 
 def require_drawable(picture: Path, request: PhotoRequest) -> None:
-    """Raise UsageError if photographs cannot be drawn beside their prediction into a file."""
+    """Raise UsageError if no picture of photographs beside their prediction can be drawn and written."""
     figures.require_writable(picture)
     if request.has_cylinder:
         raise UsageError(f"{picture}: residuals are drawn of balls, found a cylinder; leave --picture out")

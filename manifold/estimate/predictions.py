@@ -118,7 +118,7 @@ class _Made:
 
     @property
     def is_unchanged(self) -> bool:
-        """Whether it is a file in its own values."""
+        """Whether the prediction is a file whose values are not changed."""
         return self.file is not None and self.brdf is self.before
 
     def with_attributes(self, of_colour: Attributes | None, of_coat: Attributes) -> _Made:

@@ -106,7 +106,7 @@ def residual_factors(
     NaN marks missing readings; `incidences_deg` (P,) are their incidences.
 
     The corrected values match the readings, with weights (P,), within the repeatability: the relative standard
-    deviation of repeated readings, of which cube roots have a third. If neighbouring readings scatter more, their
+    deviation of repeated readings (that of cube roots is a third of it). If neighbouring readings scatter more, their
     scatter is used.
 
     Source: Rasmussen & Williams 2006, eq. 2.25; the kernel is squared exponential.

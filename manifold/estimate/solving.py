@@ -334,7 +334,7 @@ def _better_exposures(evidence: Evidence, weights: Array, exposures: Array) -> A
 
 
 def ratio_of(rows: Sequence[Observation], weights: Array) -> float:
-    """Return the factor by which rows in C channels are larger than weights (C, n) predict, from their cube roots."""
+    """Return the factor by which rows in C channels exceed the predictions of weights (C, n), fitted to cube roots."""
     products = squares = 0.0
     for one, w in zip(rows, weights, strict=True):
         used = ~one.is_bound

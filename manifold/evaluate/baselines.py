@@ -20,7 +20,7 @@ _IDENTITY = MAPPINGS["identity"]
 
 
 def fit_nearest(data: Data, training: Indices) -> Encode:
-    """Predict the material whose values are nearest, with the weights of the linear error."""
+    """Return a function that predicts a material by the nearest training material, measured by the linear error."""
     G = data.gram(_IDENTITY, power=2)
 
     def encode(i: int) -> Combination:
@@ -31,7 +31,7 @@ def fit_nearest(data: Data, training: Indices) -> Encode:
 
 
 def fit_linear(data: Data, training: Indices) -> Encode:
-    """Predict the best point between the two nearest materials (Hikichi & Iwasaki, eq. 23)."""
+    """Return a function that predicts the best point between the two nearest materials (Hikichi & Iwasaki, eq. 23)."""
     G = data.gram(_IDENTITY, power=2)
 
     def encode(i: int) -> Combination:
@@ -42,7 +42,7 @@ def fit_linear(data: Data, training: Indices) -> Encode:
 
 
 def fit_oracle(data: Data, training: Indices) -> Encode:
-    """Predict the best point on a line between any two materials, which linear interpolation cannot beat."""
+    """Return a function that predicts the best point between any two materials, a bound for linear interpolation."""
     G = data.gram(_IDENTITY, power=2)
 
     def encode(i: int) -> Combination:
@@ -52,7 +52,7 @@ def fit_oracle(data: Data, training: Indices) -> Encode:
 
 
 def fit_pca(mapping_name: str, count: int) -> Fit:
-    """Project on the first principal components in a mapped domain, weighted by the cosines."""
+    """Return a method that projects on the first principal components in a mapped domain, weighted by the cosines."""
     mapping = MAPPINGS[mapping_name]
 
     def fit(data: Data, training: Indices) -> Encode:

@@ -64,7 +64,7 @@ def half() -> Storage:
 
 
 def few_bands(count: int) -> Storage:
-    """Return storage of values at a few wavelengths, chosen for D65; between them predictions are linear."""
+    """Return a storage form that keeps `count` wavelengths, chosen for D65; the others are interpolated linearly."""
 
     def reduce(file: BsdfFile) -> BsdfFile:
         nodes, projection = _projection(file.bands, count)

@@ -70,7 +70,7 @@ class Metric:
 def ball_errors(fitted: EvaluableBRDF, material: EvaluableBRDF) -> Errors[float]:
     """Return the differences between the rendered balls of a fit and its material, each in its own bands.
 
-    They are compared in the five test lights and in the lights of fits.
+    They are compared in the five test lights and in the lights used for fitting.
     """
 
     def errors(lights: Panel) -> Errors[float]:

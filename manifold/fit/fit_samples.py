@@ -26,7 +26,7 @@ _BALL = (6, 18, 8)  # pixels, rings and spokes: 3,900 direction pairs with those
 
 @dataclass(frozen=True, eq=False)
 class Pixels:
-    """Small pictures of a ball in the lights of fits: linear radiance relative to a white surface, shape (K, B).
+    """Small pictures of a ball in the lights used for fitting: linear radiance relative to white, shape (K, B).
 
     Errors are reported in other lights.
     """

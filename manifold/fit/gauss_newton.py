@@ -30,8 +30,8 @@ class GaussNewton:
         n_search: number of parameter vectors of the coarse search, a power of two.
         search_pairs: number of direction pairs at which they are evaluated.
         n_starts: number of the best vectors that are refined. If there are at most `coarse_pairs` samples, the best
-            vectors with a low and with a high value of each shared parameter are refined as well, restricted to that
-            quarter of its range and unrestricted.
+            vectors in the lowest and in the highest quarter of each shared parameter's range are refined as well,
+            once within that quarter and once without limits.
         coarse_pairs: number of direction pairs of the first refinement.
         coarse_pixels: stride over the pixels of each light in the coarse refinement.
         coarse_iterations, iterations: evaluations allowed per start in the coarse and the fine refinement.

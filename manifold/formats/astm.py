@@ -1,7 +1,7 @@
 """Tables like those of ASTM E1392: `KEY value` lines, a line `VARS theta_i,phi_i,theta_s,phi_s,...`, then rows.
 
-Angles are in radians about the normal, values are the BRDF in 1/sr. Goniometers such as the Mini-Diff V2 (Light Tec,
-Synopsys) write such files.
+Angles are in radians, measured from the normal; values are the BRDF in 1/sr. Goniometers such as the Mini-Diff V2
+(Light Tec, Synopsys) write such files.
 """
 
 from __future__ import annotations

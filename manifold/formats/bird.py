@@ -179,7 +179,11 @@ def write(path: Path, readings: Readings, method: str) -> None:
     }
     if np.any(readings.scatter > 0.0):
         data["uBRDF"] = variable(3.0 * readings.scatter[pair] * f, "sr^-1", 4)
-        data["uBRDF"]["comments"] = "standard uncertainty, coverage factor 1"
+        data["uBRDF"]["comments"] = (
+            "standard uncertainty, coverage factor 1"
+            if method == "measurement"
+            else "expected error of a prediction: a typical error, not a standard uncertainty"
+        )
     where = {"country": _NOT_STATED, "city": _NOT_STATED, "street": _NOT_STATED, "building_nr": _NOT_STATED,
              "postal_code": _NOT_STATED}  # fmt: skip
     provenance = {

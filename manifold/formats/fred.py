@@ -1,4 +1,4 @@
-"""Tables of FRED: a line `theta phi` per incidence, then lines `theta phi value`, in degrees about the normal.
+"""Tables of FRED: a line `theta phi` per incidence, then lines `theta phi value`, in degrees from the normal.
 
 The lines of incidence name the mirror direction. Azimuths count from the sample's x axis, so that the mirror direction
 of an incidence lies at its own azimuth. Values are the BRDF in 1/sr, one band without a wavelength.

@@ -1,7 +1,7 @@
 """LightTools text `.bsdf`: blocks of `AOI`, `POI`, `Wavelength`, `TIS` and a table of azimuths x polar angles.
 
-Angles are in degrees about the normal. Synopsys' Mini-Diff also writes such files. Programs disagree on the azimuth
-of the incident direction. A comment `# incidence at azimuth POI + 90`, which this module writes, determines it;
+Angles are in degrees, measured from the normal. Synopsys' Mini-Diff also writes such files. Programs disagree on the
+azimuth of the incident direction. A comment `# incidence at azimuth POI + 90`, which this module writes, determines it;
 without one, it is found from the light's shadow or from the highlight.
 """
 

@@ -178,6 +178,9 @@ def read_readings(
 ) -> Readings:  # fmt: skip
     """Read one specimen as readings; a dense table gives at most `limit` of its measured nodes.
 
+    With `is_only`, a given name must be that of a specimen even if the file has only one. `unit`, one of
+    `readings.UNITS`, is the unit of a table that states none.
+
     Raises:
         UsageError: there are several specimens and no name is given, none has the given name, or the file cannot be
             read.

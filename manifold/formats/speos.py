@@ -1,6 +1,6 @@
 """Text files of Ansys Speos: `.brdf`, a table per incidence and wavelength, and `.anisotropicbsdf`, one per incidence.
 
-Angles are in degrees, outgoing angles about the normal, with the mirror direction at azimuth 0. The anisotropy angle
+Angles are in degrees, outgoing ones from the normal, with the mirror direction at azimuth 0. The anisotropy angle
 is the azimuth from the direction in which light travels along the surface to the sample's x axis. Tables are
 relative; percentages of reflected light scale them. A `.brdf` has one percentage per table, an `.anisotropicbsdf` one
 spectrum at one incidence, which scales all tables.

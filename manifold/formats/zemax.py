@@ -1,4 +1,4 @@
-"""Zemax text `.bsdf`: sample rotations, incidences, then tables of azimuths x radial angles about the mirror direction.
+"""Zemax text `.bsdf`: sample rotations, incidences, then tables of azimuths x radial angles from the mirror direction.
 
 Azimuth 0 points from the mirror direction towards the normal. `Monochrome`, or `XYZ` in three parts.
 
@@ -37,7 +37,7 @@ def sniff(head: bytes) -> bool:
 
 
 def directions(theta_i: float, radial: Array, azimuth: Array, rotation: float = 0.0) -> tuple[Array, Array]:
-    """Return wi (3,) and wo (..., 3) from an incidence and angles about its mirror direction, in radians.
+    """Return wi (3,) and wo (..., 3) from an incidence and angles from its mirror direction, in radians.
 
     wi lies at azimuth 180 degrees plus the sample's rotation.
     """

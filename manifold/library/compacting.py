@@ -126,7 +126,7 @@ def encode(file: BsdfFile, tolerance: float = COMPACT_TOLERANCE) -> Compact:
 
 
 class _Roots:
-    """The cube roots of a file in its own components, luminance included; `norm`: root mean square of the spectra's."""
+    """A file's cube roots, luminance included, in components fitted to them; `norm` is the RMS of the spectral ones."""
 
     def __init__(self, file: BsdfFile) -> None:
         values = np.moveaxis(file.spectra, 2, -1)

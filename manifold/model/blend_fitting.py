@@ -34,7 +34,7 @@ Halves = NDArray[np.float16]  # cube roots to 0.05 %, which no colour difference
 
 
 def _lights() -> panel.Panel:
-    """Return the balls by which materials are compared, in the lights of fits."""
+    """Return the balls by which materials are compared, in the lights used for fitting."""
     return panel.fitted(sun_pixels=panel.FITTED_SUN_PIXELS).every(panel.STRIDE)[0]
 
 
@@ -43,7 +43,7 @@ class Appearance:
     """The values by which N materials are compared.
 
     Attributes:
-        lab: CIELAB values of the pixels of balls in the lights of fits, shape (N, K, 3).
+        lab: CIELAB values of the pixels of balls in the lights used for fitting, shape (N, K, 3).
         logs: weighted logarithms of the BRDF values, shape (N, D).
     """
 

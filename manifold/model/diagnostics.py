@@ -130,7 +130,7 @@ class DiagnosedPrediction(Result):
     @property
     @derived(row="unknown material", json=False)
     def unknown_in_words(self) -> list[str]:
-        """Return lines of text that state the expected error for a material located there whose colour is not given."""
+        """Return lines of text that state the expected error for a material at this point whose colour is not given."""
         if self.expected_in_chosen_colour is None or self.expected is None:
             return []
         first, *others = self.expected.words

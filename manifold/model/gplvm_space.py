@@ -70,10 +70,7 @@ class GplvmSpace(LatentSpace):
         return evenly_spaced(n_bands, LEARNT_BANDS)
 
     def samples(self, mapped: Array, cosines: Array) -> tuple[Array, Array]:
-        """Return training samples from mapped values (N, B_e, P), and their cosines.
-
-        A row holds all bands of a material.
-        """
+        """Return mapped values (N, B_e, P) as one training sample (B_e P,) per material, and their cosines (B_e P,)."""
         return mapped.reshape(len(mapped), -1), np.tile(cosines, mapped.shape[1])
 
     def embed(self, decoder: Decoder, f: Array, settings: Settings) -> Embedded:

@@ -114,7 +114,7 @@ class LandmarkSearch:
         self._some_gram = self._some @ self._some.T
 
     def find(self, target: Array, bands: Indices, without: int | None = None) -> tuple[Array, Array, float]:
-        """Return the latent (Q,), colours (2, B) and residual of a material, as `PlaceSearch.find` does."""
+        """Return the latent (Q,), colours (2, B) and residual of the material with cube roots `target` (B, P)."""
         left_out = None
         if without is not None and without in self._landmarks:
             left_out = int(np.flatnonzero(self._landmarks == without)[0])

@@ -35,7 +35,7 @@ _OF_VALUES = 0.25  # how much the squared error of values counts beside that of 
 
 
 class ComparedValues:
-    """The values that a reconstruction compares: at direction pairs, then at K pixels of balls in the lights of fits.
+    """The values that a reconstruction compares: at direction pairs, then at K pixels of balls.
 
     `pixel_weights` (K,) give all lights the same total weight.
     """

@@ -203,7 +203,7 @@ class Walked:
 
 
 def walk_shares(start: Walked, end: Walked) -> Array:
-    """Return the shares of the end material at `WALK_NODES` even values of t, at which steps have equal CIEDE2000."""
+    """Return the end material's shares at `WALK_NODES` equally spaced t, for which steps have equal CIEDE2000."""
     u = np.linspace(0.0, 1.0, _STEPS)
     positions = positions_between(start.highlight, end.highlight, u)
     share = u[:, None, None]
@@ -236,7 +236,7 @@ class Walk:
 
     @cached_property
     def shares(self) -> Array:
-        """Return the share of the second material at `WALK_NODES` even values of t."""
+        """Return the share of the second material at `WALK_NODES` equally spaced values of t."""
         return walk_shares(*self.walked)
 
     def at(self, t: float) -> PredictedBRDF:

@@ -73,7 +73,7 @@ class TabulatedPairs:
 
 
 def tabulated_pairs() -> TabulatedPairs:
-    """Return the pairs of a page, on one side only; materials are tabulated as the mean of both sides."""
+    """Return the pairs of a page on one side of the plane of incidence; values are the mean of both sides."""
     wi, wo = [], []
     meter_wi, meter_wo, gloss_weights = half_gloss_meter(60)
     spot = from_spherical(np.pi / 4, 0.0)[None], from_spherical(0.0, 0.0)[None]

@@ -55,7 +55,7 @@ class MapWidget(AnyWidget):  # type: ignore[misc]
         """Return the material at the point, in the given colour.
 
         Raises:
-            UsageError: the view shows the prediction without a material, which only the view can compute.
+            UsageError: the view shows a prediction that leaves out a material, which only the view can compute.
         """
         if "without" in parse_qs(self.link):
             raise UsageError(

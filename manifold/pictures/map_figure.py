@@ -33,7 +33,7 @@ _MARGIN = 0.18  # margin around the latents, as a share of their range
 def latent_map(model: Manifold, marked: Array | None = None) -> Figure:
     """Draw the first two latent dimensions: materials in their own colours over the expected error, see `pictured`.
 
-    A latent (Q,) is marked as predicted; one dimension is drawn along a line.
+    `marked` (Q,) is a latent to label "predicted". The materials of a one-dimensional map are drawn along a line.
     """
     figure = new_figure(10, 7.2)
     axes = figure.add_subplot()

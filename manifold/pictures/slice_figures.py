@@ -196,7 +196,7 @@ def _slices_of(brdf: EvaluableBRDF, wavelengths_nm: Sequence[float]) -> Array:
 
 
 def _spectra_of(brdf: EvaluableBRDF, *, is_rgb: bool) -> tuple[Array, Array]:
-    """Return wavelengths or channels (B,) and f there at every geometry, (4, B)."""
+    """Return wavelengths or channels (B,), and f of each geometry in these bands, (4, B)."""
     theta_i, theta_o = np.array(GEOMETRIES_DEG).T
     f = brdf.eval(from_spherical(np.deg2rad(theta_i), 0.0), _outgoing(theta_o))
     if is_rgb:

@@ -43,7 +43,7 @@ def of_material(material: BRDF | BsdfFile) -> Array:
 
 
 def of_file(path: Path) -> Array:
-    """Render a measured file, or the JSON of a fit, as `of_material` does."""
+    """Render a measured file, or the JSON of a fit, as a ball: RGBA in [0, 1], (H, W, 4)."""
     return _drawn(read_material(path).render)
 
 

@@ -95,7 +95,7 @@ class Response:
 
 
 def gain_of(brdf: EvaluableBRDF, pictures: SurfacePictures) -> float:
-    """Return the ratio of a BRDF's response to slope to the table's, by least squares over the lamps.
+    """Return the factor, by least squares over the lamps, from the tabulated response to slope to that of a BRDF.
 
     The response of the BRDF is the mean of d ln N / d slope over the slopes of the paints (Stein's lemma, Gaussian
     quadrature).

@@ -54,6 +54,20 @@ def test_what_is_written_is_read_back(tmp_path):
     assert after.repeatability == pytest.approx(0.03, rel=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("method", "words"),
+    [
+        ("measurement", "standard uncertainty, coverage factor 1"),
+        ("simulation", "not a standard uncertainty"),
+    ],
+)
+def test_only_uncertainties_of_measurements_are_called_standard(tmp_path, method, words):
+    bird.write(tmp_path / "x.json", readings(0.01), method)
+    comments = json.loads((tmp_path / "x.json").read_text())["data"]["uBRDF"]["comments"]
+    assert words in comments
+    assert ("expected error" in comments) == (method == "simulation")
+
+
 def test_values_that_were_not_measured_have_no_row(tmp_path):
     before = readings()
     values = np.array(before.values)

@@ -127,7 +127,7 @@ class TestBed:
         return relative_error(truth.eval(wi, wo), found.eval(wi, wo), self.pairs.cosines)
 
     def ball_difference(self, found: BRDF, truth: BRDF, *, is_turned: bool = True) -> float:
-        """Return the mean CIEDE2000 between two materials of the family's bands.
+        """Return the mean CIEDE2000 between two materials in the family's bands.
 
         With `is_turned`, the light is turned to a direction that no diagnostic uses.
         """

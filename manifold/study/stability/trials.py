@@ -115,7 +115,7 @@ class TrialResult:
 
 @dataclass(frozen=True)
 class Row:
-    """The results of a method under a mode by severity, with their names and the limit of the mode."""
+    """The results of one method under one failure mode, by severity, with both names and the mode's error limit."""
 
     mode: str
     method: str

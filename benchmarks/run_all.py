@@ -134,10 +134,10 @@ def main() -> None:
             resolved = [path for word in words for path in places.words(word)]
             target = Path(folder, f"{name}.json")
             before = resource.getrusage(resource.RUSAGE_CHILDREN)
-            subprocess.run([*command, *resolved, "--json", str(target)], check=False)
+            status = subprocess.run([*command, *resolved, "--json", str(target)], check=False).returncode
             after = resource.getrusage(resource.RUSAGE_CHILDREN)
-            # A status of 1 may be a finding: `stability` leaves so where a mode is wrong.
-            if not target.exists():
+            # A status of 1 may be a finding: `stability` leaves so where a mode is wrong. A killed run wrote a part.
+            if status not in (0, 1) or not target.exists():
                 failed.append(name)
                 continue
             seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime

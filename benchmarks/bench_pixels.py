@@ -12,9 +12,9 @@ none: each in which a pixel is found is a false alarm. Balls are also completed 
 their file: with bounds per channel as found, with clipped pixels taken as values, and from the whole picture.
 
 Encodings are compared in pictures of sRGB or linear codes that state none: PNG of 8 bits, which is read as sRGB, and
-TIFF of 16 bits, which is read as linear. With lamps given, the shares state
-how often `photograph` advises to read them otherwise, and how often it blames a lamp instead. With lamps found, they
-state how often it advises to read three pictures of a ball otherwise.
+TIFF of 16 bits, which is read as linear. With lamps given, the shares state how often `photograph` advises to read them
+otherwise, and how often it blames a lamp instead. With lamps found, they state how often it advises to read three
+pictures of a ball otherwise.
 
 A set is a folder of real pictures of a ball under lamps: gray/*.png, chrome/*.png, lights.txt. Its figures are rates of
 plateaus in the pictures as they are, and after clipping at one half of the largest code.
@@ -38,7 +38,7 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.conversion import encode_srgb
 from manifold.colour.lights import ENVIRONMENTS, environment
 from manifold.core.errors import UsageError
-from manifold.core.records import Array, Mask
+from manifold.core.records import Array
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.completion import Completion
 from manifold.estimate.expected import errors_of_weights
@@ -277,7 +277,7 @@ def _plateaus(photograph: Photograph) -> bool:
     return any("plateau" in note for note in photograph.notes)
 
 
-def _share(found: Iterable[bool] | Mask) -> float:
+def _share(found: Iterable[bool]) -> float:
     return float(np.mean(list(found)))
 
 

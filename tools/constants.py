@@ -50,9 +50,11 @@ EXEMPT = (
     "BLOCK", "BLOCK_ROWS", "AT_ONCE", "MOST_KEPT", "VERSION", "BYTES", "DIGEST", "MOST_PIXELS", "MOST_TOGETHER",
     "MOST_SIZE", "MOST_MATERIALS", "MIN_PAIRS", "MAX_PAIRS",
 )  # fmt: skip
-# Names of limits of sizes, and of what is printed or drawn; and comments on facts of formats, instruments, physics.
+# `LIMIT` finds names of constants that limit a size, or set what is printed or drawn, `WHOLE_LIMIT` names that do so if
+# the constant is a whole number. `FACT` finds comments that name a format, an instrument or a standard.
+WHOLE_LIMIT = re.compile(r"(^|_)(MOST|LARGEST|LONGEST|WIDEST)(_|$)")
 LIMIT = re.compile(
-    r"(^|_)(MOST|LARGEST|LONGEST|WIDEST|BLOCKS?|ROWS|BYTES|VERSION|SHOWN|SNIFFED|AT_ONCE|SIZE|WIDTH|HEIGHT|PIXELS|SAMPLES|"
+    r"(^|_)(BLOCKS?|ROWS|BYTES|VERSION|SHOWN|SNIFFED|AT_ONCE|SIZE|WIDTH|HEIGHT|PIXELS|SAMPLES|"
     r"NODES|AZIMUTHS|POINTS|INCHES|MARGIN|COLUMNS|LINES|TAGS?|TOGETHER|SEARCHED|NM|INCIDENCES_DEG|EVALUATIONS|ITERATIONS|"
     r"MAX_ITER|ROUNDS|STEPS|MAGIC|DTYPES|CHANNELS|PRIMARIES|WHITE_\w+|OF_BYTES)(_|$)"
 )
@@ -177,10 +179,12 @@ def census() -> dict[str, collections.Counter[str]]:
         body, lines = ast.parse(text).body, text.splitlines()
         for k, statement in enumerate(body):
             names, expression = assigned(statement) or ([], None)
-            if expression is None or not any(
-                isinstance(node, ast.Constant) and type(node.value) in (int, float)
-                for node in ast.walk(expression)
-            ):
+            types = {
+                type(node.value)
+                for node in (() if expression is None else ast.walk(expression))
+                if isinstance(node, ast.Constant) and type(node.value) in (int, float)
+            }
+            if not types:
                 continue
             own = lines[statement.lineno - 1 : statement.end_lineno]
             following = body[k + 1] if k + 1 < len(body) else None
@@ -188,8 +192,9 @@ def census() -> dict[str, collections.Counter[str]]:
             if isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant):
                 said += str(following.value.value)
             for name in filter(str.isupper, names):
+                is_limit = LIMIT.search(name) or (float not in types and WHOLE_LIMIT.search(name))
                 kind = (
-                    "exempt" if LIMIT.search(name) or FACT.search(said)
+                    "exempt" if is_limit or FACT.search(said)
                     else "shared" if name in imported
                     else "with a sentence" if said
                     else "without one"

@@ -338,7 +338,7 @@ def saturated_channels() -> dict[str, tuple[Array, Array]]:
     noise = 1.0 + 0.01 * np.random.default_rng(0).standard_normal((SIZE, SIZE))
     for name in (*SIX[:2], "even"):
         values = (
-            np.ones((SIZE, SIZE)) * np.hypot(*np.mgrid[-1 : 1 : SIZE * 1j, -1 : 1 : SIZE * 1j]) < 0.7
+            np.hypot(*np.mgrid[-1 : 1 : SIZE * 1j, -1 : 1 : SIZE * 1j]) < 0.7
             if name == "even"
             else lamp_picture(material(name), Camera(), [Lamp.towards(LAMPS[1])], SIZE, MARGIN)[..., 1]
         ).astype(float)

@@ -23,7 +23,7 @@ BEYOND_COLOURS = 0.15
 """Share of a colour's norm by which it may lie beyond the colours of reflectances; fluorescent paints reach 0.14."""
 _VISIBLE_NM = (400.0, 700.0)
 _MOST_NOISY = 1.5  # larger values are no noise of a white: per cent, or codes
-_DARKEST = 0.01  # reflectance of the darkest materials but special blacks
+_ALL_BUT_BLACK = 0.01  # largest reflectance of a spectrum that is doubted: only special blacks are darker
 _LARGEST_GAP_NM = 100.0  # between wavelengths, without a note
 _UNEVEN = 3.0  # least ratio of a gap that is noted to the usual one
 _NORMALS = 1000  # of the solid of colours
@@ -194,9 +194,9 @@ def read_reflectance(path: Path, bands: Bands) -> Array:
 def _doubts(nm: Array, values: Array) -> list[str]:
     """Return sentences about a spectrum that is darker than materials are, or lacks a part of the visible range."""
     doubts = []
-    if 0.0 < values.max() <= _DARKEST:
+    if 0.0 < values.max() <= _ALL_BUT_BLACK:
         doubts.append(
-            f"reflectances of at most {100.0 * values.max():.2g} %: if they are fractions, name no per cent"
+            f"reflectances of at most {100.0 * values.max():.2g} %: if they are fractions, remove the percent sign"
         )
     seen = np.clip(nm, *_VISIBLE_NM)
     steps, k = np.diff(seen), int(np.argmax(np.diff(seen)))

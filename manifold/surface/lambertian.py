@@ -23,7 +23,7 @@ from manifold.surface.response import CODE_NOISE, SLOPE_STD
 
 _ROUNDS = 6  # of the fit, its noise, its prior and its outliers
 OUTLIER = 4.0
-"""Standard deviations, beyond which residuals count much less: 3 leaves out true relief, more keep glints."""
+"""Standard deviations, beyond which residuals count much less: 3 leaves out true relief, larger values keep glints."""
 
 # Slope of 79 degrees: points without light have steeper ones; and standard deviation of slopes in the first round.
 _STEEPEST = 5.0

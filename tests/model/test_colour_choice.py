@@ -178,7 +178,7 @@ def test_byte_order_marks_headers_and_comments_lose_no_row(tmp_path, text):
     ("text", "said"),
     [
         ("nm,R (%)\n" + "".join(f"{nm},{0.4 if nm < 580 else 0.6}\n" for nm in range(400, 701, 10)),
-         "reflectances of at most 0.6 %: if they are fractions, name no per cent"),
+         "reflectances of at most 0.6 %: if they are fractions, remove the percent sign"),
         ("".join(f"{nm} 0.3\n" for nm in range(400, 701, 10) if not 450 < nm < 600),
          "no reflectances between 450 and 600 nm, where they are interpolated"),
         ("".join(f"{nm} 0.3\n" for nm in range(400, 701, 50)), ""),

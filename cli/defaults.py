@@ -29,10 +29,11 @@ def use_built_in(context: Any) -> None:
     given = {key for key in values if context.get_parameter_source(key).name != "DEFAULT"}
     is_default = not given & {"library", "model"} and not (DEFAULT_LIBRARY.exists() or DEFAULT_MODEL.exists())
     goes_with = "library" in given and shipped.is_built_in(values["library"]) and not DEFAULT_MODEL.exists()
-    if is_default and "library" in values:
+    is_inspected = name == "info" and "path" in given  # a model names its own library
+    if is_default and "library" in values and not is_inspected:
         values["library"] = shipped.BUILT_IN
     if (is_default or goes_with) and "model" not in given and values.get("model") is not None:
         values["model"] = shipped.BUILT_IN
-    if is_default and name == "info" and "path" not in given:
+    if is_default and name == "info" and not is_inspected:
         values["path"] = shipped.BUILT_IN.name
     shipped.tell_with(partial(terminal.note_built_in, is_default=is_default and not is_named))

@@ -92,6 +92,17 @@ def test_info_shows_source_licence_citation_and_checksums(run, tmp_path):
         assert checksum in out
 
 
+def test_info_of_a_model_opens_the_library_of_the_model(run, tmp_path):
+    files = [tmp_path / f"{name}_rgb.bsdf" for name in ("paper_white", "paper_blue", "cardboard")]
+    for file in files:
+        mf.write_bsdf(file, Library("built-in").read(file.stem.removesuffix("_rgb")))
+    mf.import_files(tmp_path / "own.zarr", files)
+    mf.Manifold.fit(tmp_path / "own.zarr", calibrate=False).save(tmp_path / "own.h5")
+    status, out, err = run("info", "own.h5", cwd=tmp_path)
+    assert (status, err) == (0, "")
+    assert "own.zarr" in out
+
+
 def test_the_built_in_map_is_that_of_the_built_in_library():
     model = mf.built_in()
     assert model.names == model.library.names == tuple(sorted(shipped.about()["materials"]))

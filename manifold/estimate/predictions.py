@@ -176,7 +176,8 @@ def _of_place(model: Manifold, place: Place, colour: ColourChoice, attributes: A
     of_material = model.space.training_index(place.latent, chosen.colours)
     if of_coat and not on_map and of_material is not None:
         made = replace(made, own=model.names[of_material])
-    chosen = ChosenColour(adjusted.colours, str(adjusted), 0.0)
+    residual = 0.0 if on_map else chosen.residual  # `adjust` states how far it missed the values on the map
+    chosen = ChosenColour(adjusted.colours, str(adjusted), residual)
     brdf = model.predict(adjusted.place, chosen.colours).turned(place.rotation_rad)
     made = replace(made, place=adjusted.place, brdf=brdf, chosen=chosen, adjusted=adjusted)
     return made.with_attributes(None, of_coat)

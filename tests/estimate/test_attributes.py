@@ -37,6 +37,7 @@ from manifold.estimate.predictions import predict
 from manifold.formats.readings import GLOSS_ANGLES_DEG, Readings, Viewing
 from manifold.io_rgl import read_bsdf
 from manifold.model.colours import ColourChoice
+from manifold.model.diagnostics import MOST_RESIDUAL
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import EXPECTED_ERROR
 from manifold.model.places import Place
@@ -282,6 +283,18 @@ def test_a_colour_and_a_gloss_asked_for_together_are_both_reached(model, tmp_pat
     assert made["shortfalls"] == []
     assert made["reached"]["chroma"] == pytest.approx(35.0, abs=1.0)
     assert made["reached"]["gloss"]["60"] == pytest.approx(30.0, rel=GLOSS_TOLERANCE)
+
+
+def test_a_given_colour_that_is_not_reached_is_said_also_with_a_gloss(model, tmp_path):
+    white = ColourChoice(srgb="#ffffff")
+    plain = predict(model, "syn_felt_orange", tmp_path / "a_rgb.bsdf", colour=white)
+    assert plain.reflectance_residual > MOST_RESIDUAL
+    glossy = predict(
+        model, "syn_felt_orange", tmp_path / "b_rgb.bsdf",
+        colour=white, attributes=Attributes({"gloss_60": Wanted(30.0)}),
+    )  # fmt: skip
+    assert glossy.reflectance_residual == plain.reflectance_residual
+    assert any(note.startswith("requested reflectance cannot be reached") for note in glossy.diagnostics)
 
 
 def test_what_cannot_be_reached_is_said_before_anything_is_written(model, tmp_path):

@@ -17,7 +17,7 @@ def names_like(names: Iterable[str], name: str, among: str = "it holds") -> str:
     Similar names contain the name or are close matches, ignoring case. For names of one or two letters, containing it
     is not enough. `among` is the text before the first few names.
     """
-    known, name = list(dict.fromkeys(names)), name.lower()
+    known, name = list(dict.fromkeys(names)), str(name).lower()  # Python users may pass an index
     within = [k for k in known if len(name) >= _LEAST_PART and name in k.lower()]
     close = difflib.get_close_matches(name, [k.lower() for k in known])
     near = within or [k for match in dict.fromkeys(close) for k in known if k.lower() == match]

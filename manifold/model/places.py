@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from numbers import Real
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -73,9 +74,10 @@ def parse_walk(text: str, names: Collection[str]) -> tuple[str, str, float] | No
 
 
 def require_between(t: float) -> None:
-    """Raise UsageError unless 0 <= t <= 1."""
-    if not 0.0 <= t <= 1.0:
-        raise UsageError(f"t = {t:g}, expected a number from 0 (the first material) to 1 (the second)")
+    """Raise UsageError unless t is one number and 0 <= t <= 1."""
+    if not isinstance(t, Real) or not 0.0 <= t <= 1.0:
+        found = f"{t:g}" if isinstance(t, Real) else f"a value of type {type(t).__name__}"
+        raise UsageError(f"t = {found}, expected a number from 0 (the first material) to 1 (the second)")
 
 
 def on_line(start: Array, end: Array, t: float) -> Array:

@@ -10,7 +10,7 @@ from helpers.small_library import NAMES, small_library
 
 from manifold.colour import ball_colours
 from manifold.convert.contents import inspect
-from manifold.core.errors import LatentError, UsageError
+from manifold.core.errors import LatentError, UnknownNameError, UsageError
 from manifold.estimate.descriptions import locate
 from manifold.estimate.predictions import predict
 from manifold.library.importing import import_files
@@ -167,6 +167,16 @@ def test_a_place_between_two_materials_is_between_them(model, t):
     for ask in (loaded.between, loaded.interpolate):
         with pytest.raises(UsageError, match=f"t = {t:g}, expected a number from 0"):
             ask(*NAMES[:2], t)
+
+
+def test_several_t_or_an_index_instead_of_a_name_are_told_so(model):
+    loaded = Manifold.load(model)
+    for ask in (loaded.between, loaded.interpolate):
+        for t in ([0.0, 0.5], np.array([0.0, 0.5]), "0.5"):
+            with pytest.raises(UsageError, match="t = a value of type .*, expected a number from 0"):
+                ask(*NAMES[:2], t)
+    with pytest.raises(UnknownNameError, match="no material '0' in this model"):
+        loaded.material(0)
 
 
 def test_a_material_whose_name_reads_as_coordinates_is_that_material(tmp_path):

@@ -173,7 +173,7 @@ def test_several_t_or_an_index_instead_of_a_name_are_told_so(model):
     loaded = Manifold.load(model)
     for ask in (loaded.between, loaded.interpolate):
         for t in ([0.0, 0.5], np.array([0.0, 0.5]), "0.5"):
-            with pytest.raises(UsageError, match="t = a value of type .*, expected a number from 0"):
+            with pytest.raises(UsageError, match=r"t = a value of type .*, expected a number from 0"):
                 ask(*NAMES[:2], t)
     with pytest.raises(UnknownNameError, match="no material '0' in this model"):
         loaded.material(0)

@@ -182,6 +182,16 @@ def complete(
         command = many.coats(library, is_mixture=colour.mixture, options=asked.written)
         make_folder(command, colours, f"{len(colours)} colours")
         return
+    if (
+        unit is not None
+        and sample is None
+        and not merge
+        and (len(given) > 1 or any(p.is_dir() for p in given))
+    ):
+        raise UsageError(
+            "--unit works only with one file of readings; add --merge if the files are of one sample, or complete each "
+            "file by itself"
+        )
     if given and sample is None and not merge and unit is None:
         with progress.shown("Reading files"):
             samples = inputs.find_samples(given)

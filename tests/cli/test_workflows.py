@@ -271,3 +271,15 @@ def test_the_main_job_runs_on_real_files(tmp_path, share):
     refitted = next(m for m in report.methods if m.key == "blend_refitted")
     nearest = next(m for m in report.methods if m.key == "nearest")
     assert refitted.median.linear < nearest.median.linear
+
+
+def test_a_unit_does_not_merge_different_samples(run, tmp_path):
+    table = (
+        "theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,R,G,B\n45,180,0,0,0.3,0.2,0.1\n45,180,30,0,0.3,0.2,0.1\n"
+    )
+    for name in ("a.csv", "b.csv"):
+        (tmp_path / name).write_text(table)
+    for given in (("a.csv", "b.csv"), (".",)):
+        status, _, err = run("complete", *given, "--unit", "factor", cwd=tmp_path)
+        assert status == 2
+        assert "--unit works only with one file of readings" in err

@@ -215,7 +215,7 @@ def _diagnose(
     if made.place is None:
         prediction = diagnose_file(made.own, made.brdf, made.chosen, *found, made.unmeasured)
     else:
-        prediction = diagnose(model, made.place, made.brdf, made.chosen, *found)
+        prediction = diagnose(model, made.place, made.brdf, made.chosen, *found, is_recoated=made.is_recoated)
     notes = prediction.diagnostics + written.projection
     if made.own:
         change = brdf_errors(made.before, read_back)

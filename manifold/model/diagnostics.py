@@ -239,11 +239,14 @@ def diagnose(
     chosen: ChosenColour = UNCHOSEN,
     found: Plausibility | None = None,
     negative_share: float | None = None,
+    *,
+    is_recoated: bool = False,
 ) -> DiagnosedPrediction:
     """Return diagnostics and expected error of a prediction at a point.
 
     `found` is the plausibility of the written file, and `negative_share` the share of negative values before they
-    were set to 0. If they are None, they are measured on the prediction.
+    were set to 0. If they are None, they are measured on the prediction. `is_recoated` says that the coat was changed,
+    so that the values are not those of a measured material.
     """
     colours, latent = chosen.colours, place.latent
     found = plausibility(brdf) if found is None else found
@@ -253,7 +256,7 @@ def diagnose(
     is_measured = not is_step and model.space.training_index(latent, colours) is not None
     is_blended = colours is None and model.space.takes_colours and not is_step and not is_measured
     in_chosen_colour = model.left_out.expected(latent) if is_blended and model.left_out is not None else None
-    if is_measured:
+    if is_measured and not is_recoated:
         sentences = of_measured(measured, brdf)
     else:
         why = _reason(model, place) if is_extrapolation else ""

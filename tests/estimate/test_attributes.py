@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from helpers.small_library import small_library
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic, RoughConductor
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.plausibility import plausibility
 from manifold.colour.difference import lab_under_d65
 from manifold.colour.narrow_bands import in_daylight
 from manifold.core.directions import from_spherical
@@ -37,7 +39,7 @@ from manifold.estimate.predictions import predict
 from manifold.formats.readings import GLOSS_ANGLES_DEG, Readings, Viewing
 from manifold.io_rgl import read_bsdf
 from manifold.model.colours import ColourChoice
-from manifold.model.diagnostics import MOST_RESIDUAL
+from manifold.model.diagnostics import MOST_RESIDUAL, diagnose
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import EXPECTED_ERROR
 from manifold.model.places import Place
@@ -274,6 +276,18 @@ def test_a_measured_material_of_another_gloss_has_no_expected_error_of_the_map(m
     assert made.expected is None
     assert made.rows["expected error"] == ("none, because the map is not used for the change",)
     assert EXPECTED_ERROR not in read_bsdf(made.path).extra
+
+
+def test_a_hole_that_a_new_coat_makes_is_not_blamed_on_the_measured_file(model):
+    name = model.names[0]
+    place, brdf = model.place(name), model.material(name)
+    hole = replace(plausibility(brdf), highlight_valley=0.5)
+    for is_recoated, words in (
+        (False, "the measured file has a dark hole"),
+        (True, "dark hole or ring near"),
+    ):
+        notes = diagnose(model, place, brdf, found=hole, is_recoated=is_recoated).diagnostics
+        assert any(note.startswith(words) for note in notes)
 
 
 def test_a_colour_and_a_gloss_asked_for_together_are_both_reached(model, tmp_path):

@@ -28,7 +28,7 @@ from manifold.evaluate.latent_models import LatentProcess, fit_settings
 from manifold.evaluate.method_data import Data, band_shares
 from manifold.evaluate.methods import STANDARD
 from manifold.gp.encoding import Encoder
-from manifold.gp.likelihood import pca_start
+from manifold.gp.likelihood import centre_gram, pca_start
 from manifold.gplvm import GPLVM
 from manifold.io_rgl import read_bsdf
 from manifold.model.combination import Combination
@@ -39,13 +39,17 @@ GRID = RusinkiewiczGrid.named("default")
 _JITTER = 0.2  # of the other starts, relative to the spread of the principal components
 
 
+def first_latents(S: Array, start: int) -> Array:
+    """Where a fit to a Gram matrix S (N, N) starts: principal components for start 0, else beside them, (N, 2)."""
+    components = pca_start(centre_gram(S), 2)
+    noise = np.random.default_rng(start).standard_normal(components.shape)
+    return components + (_JITTER * components.std(axis=0) * noise if start else 0.0)
+
+
 def process(data: Data, training: Indices, start: int) -> LatentProcess:
     """The published model of some materials."""
     S = data.gram(Identity())[np.ix_(training, training)]
-    centred = S - S.mean(axis=0) - S.mean(axis=1, keepdims=True) + S.mean()
-    first = pca_start(centred, 2)
-    rng = np.random.default_rng(start)
-    X0 = first + (_JITTER * first.std(axis=0) * rng.standard_normal(first.shape) if start else 0.0)
+    X0 = first_latents(S, start)
     model = GPLVM(2, mu=1e-4, optimizer="dls").fit_gram(S, data.n_outputs, X0=X0)
     return LatentProcess(model.gp_, data, Identity(), training, 0.0, is_clipped=False)
 

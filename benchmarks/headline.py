@@ -24,11 +24,11 @@ ROWS = {
 
 
 def cells(result: str, keys: tuple[str, ...]) -> list[str]:
-    """Return the ball and the cube-root error of a row, as text."""
+    """Return the ball error and Delta E ITP of a row, as text."""
     found = json.loads((FOLDER / f"{result}.json").read_text(encoding="utf-8"))
     for key in keys:
         found = found[key]
-    both = (found["ball"], found["cube_root"])
+    both = (found["ball"], found["ball_itp"])
     errors = [each["error"] if isinstance(each, dict) else each for each in both]
     return [f"{median:.2f} / {p90:.2f}" for median, p90 in errors]
 
@@ -36,8 +36,9 @@ def cells(result: str, keys: tuple[str, ...]) -> list[str]:
 def main() -> None:
     """Print the table in Markdown."""
     print(
-        "| method | ball, built-in library | ball, original files | cube root, built-in library | cube root, original "
-        "files |\n|---|---|---|---|---|"
+        "Left-out errors, median / 90th percentile over 20 materials, averaged over five lights\n\n"
+        "| method | CIEDE2000, built-in library | CIEDE2000, original files | Delta E ITP, built-in library | "
+        "Delta E ITP, original files |\n|---|---|---|---|---|"
     )
     for title, (result, *keys) in ROWS.items():
         columns = [cells(name, tuple(keys)) for name in (f"built_in_{result}", result)]

@@ -89,6 +89,30 @@ class Places:
         subprocess.run([*self._manifold, *words], cwd=self._folder, check=True)
 
 
+def measure(name: str, places: Places, folder: Path) -> str | None:
+    """Run a benchmark and keep its result; return None, or why the result is not kept."""
+    program, *words = RESULTS[name].command.split()
+    is_command = program == "manifold"
+    command = [sys.executable, "-m", "manifold"] if is_command else [sys.executable, str(HERE / program)]
+    resolved = [path for word in words for path in places.words(word)]
+    target = folder / f"{name}.json"
+    code, before = RESULTS[name].code_hash, resource.getrusage(resource.RUSAGE_CHILDREN)
+    status = subprocess.run([*command, *resolved, "--json", str(target)], check=False).returncode
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    # `manifold stability` leaves with 1 if a mode is wrong, which is a finding. Benchmarks do so if they fail midway.
+    if status not in ((0, 1) if is_command else (0,)):
+        return f"exit status {status}"
+    if not target.exists():
+        return "it wrote no result"
+    if RESULTS[name].code_hash != code:
+        return "its code changed during the run"
+    seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    stamp(name, target, places.hashes(words), seconds)
+    shutil.move(target, FOLDER / target.name)
+    print(f"   {seconds / 60.0:.1f} processor minutes", flush=True)
+    return None
+
+
 def main() -> None:
     """Run them one after the other; leave with 1 if one of them failed."""
     parser = argparse.ArgumentParser(
@@ -115,35 +139,19 @@ def main() -> None:
         places = Places(given, Path(folder))
         FOLDER.mkdir(exist_ok=True)
         for name in asked.names or RESULTS:
-            result = RESULTS[name]
-            program, *words = result.command.split()
+            program, *words = RESULTS[name].command.split()
             if missing := places.missing(words):
                 print(f"== {name}: left out, needs {missing[0]}", flush=True)
                 continue
             if program == "make":
-                print(f"== {name}: left out, run `{result.command}`", flush=True)
+                print(f"== {name}: left out, run `{RESULTS[name].command}`", flush=True)
                 continue
             took = minutes(name)
             expected = "" if took is None else f", about {took:.1f} processor minutes"
             print(f"== {name}{expected}", flush=True)
-            command = (
-                [sys.executable, "-m", "manifold"]
-                if program == "manifold"
-                else [sys.executable, str(HERE / program)]
-            )
-            resolved = [path for word in words for path in places.words(word)]
-            target = Path(folder, f"{name}.json")
-            before = resource.getrusage(resource.RUSAGE_CHILDREN)
-            status = subprocess.run([*command, *resolved, "--json", str(target)], check=False).returncode
-            after = resource.getrusage(resource.RUSAGE_CHILDREN)
-            # A status of 1 may be a finding: `stability` leaves so where a mode is wrong. A killed run wrote a part.
-            if status not in (0, 1) or not target.exists():
+            if reason := measure(name, places, Path(folder)):
+                print(f"   not kept: {reason}", flush=True)
                 failed.append(name)
-                continue
-            seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-            stamp(name, target, places.hashes(words), seconds)
-            shutil.move(target, FOLDER / target.name)
-            print(f"   {seconds / 60.0:.1f} processor minutes", flush=True)
     if failed:
         sys.exit(f"failed: {', '.join(failed)}")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -59,6 +60,66 @@ def test_a_changed_loop_changes_the_code_of_every_result(tmp_path, monkeypatch):
         hashes.append(result.code_hash)
     evidence._imported.cache_clear()
     assert len(set(hashes)) == 3
+
+
+STAND_IN = """
+import json, os, pathlib, signal, sys
+target = pathlib.Path(sys.argv[sys.argv.index("--json") + 1])
+target.write_text(json.dumps({"first": 1}))
+END
+target.write_text(json.dumps({"first": 1, "second": 2}))
+"""
+"""A benchmark that writes its result in two steps."""
+
+
+@pytest.fixture
+def stand_in(tmp_path, monkeypatch):
+    """Return a function that runs a stand-in benchmark by `run_all` and returns the result that is kept."""
+    for folder in ("benchmarks", "cpp", "results"):
+        (tmp_path / folder).mkdir()
+    kept, program = tmp_path / "results" / "stand_in.json", tmp_path / "benchmarks" / "stand_in.py"
+    results = {"stand_in": evidence.Result("stand_in.py")}
+    for module, name, value in (
+        (evidence, "REPOSITORY", tmp_path), (evidence, "FOLDER", kept.parent), (evidence, "RESULTS", results),
+        (run_all, "HERE", program.parent), (run_all, "FOLDER", kept.parent), (run_all, "RESULTS", results),
+        (sys, "argv", ["run_all.py", "stand_in"]),
+    ):  # fmt: skip
+        monkeypatch.setattr(module, name, value)
+    subprocess.run(["git", "init", "--quiet", str(tmp_path)], check=True)
+    author = ["-c", "user.name=a", "-c", "user.email=a@b.c"]
+    commit = ["git", "-C", str(tmp_path), *author, "commit", "--quiet", "--allow-empty", "-m", "Start"]
+    subprocess.run(commit, check=True)
+
+    def run(end):
+        program.write_text(STAND_IN.replace("END", end))
+        kept.write_text(json.dumps({"_made": {"processor_seconds": None}, "first": 0}))
+        run_all.main()
+        return json.loads(kept.read_text())
+
+    run.kept = kept
+    return run
+
+
+def test_a_finished_benchmark_is_kept_with_its_code(stand_in):
+    found = stand_in("pass")
+    assert (found["first"], found["second"]) == (1, 2)
+    assert found["_made"]["code"] == evidence.RESULTS["stand_in"].code_hash
+
+
+@pytest.mark.parametrize(
+    ("end", "reason"),
+    [
+        ("os.kill(os.getpid(), signal.SIGKILL)", "exit status -9"),
+        ("raise ValueError", "exit status 1"),
+        ("pathlib.Path(__file__).write_text('x = 1')", "its code changed during the run"),
+        ("target.unlink(); sys.exit()", "it wrote no result"),
+    ],
+)
+def test_a_benchmark_that_ends_midway_leaves_the_kept_result(stand_in, capfd, end, reason):
+    with pytest.raises(SystemExit, match="failed: stand_in"):
+        stand_in(end)
+    assert json.loads(stand_in.kept.read_text())["first"] == 0
+    assert f"not kept: {reason}" in capfd.readouterr().out
 
 
 def test_every_figure_of_a_page_belongs_to_a_result_of_the_list():

@@ -17,7 +17,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from completion_baselines import gaussian_process_of_one, ridge_of_logarithms
+from completion_baselines import LOGARITHMS, gaussian_process_of_one, ridge_on_components
 
 from manifold.colour import panel
 from manifold.core.pairs import Pairs
@@ -45,7 +45,7 @@ def ridge_of_nielsen(task: Task, chosen: Indices) -> Predicted:
     cosines = others.grid.cosines, Pairs(read.wi, read.wo).cosines, lights.cosines
     samples = on_grid, at_readings, np.vstack([on_grid, on_ball])
     everywhere = np.concatenate([cosines[0], cosines[2]])
-    f = ridge_of_logarithms(samples, (*cosines[:2], everywhere), read.values)
+    f = ridge_on_components(samples, (*cosines[:2], everywhere), read.values, LOGARITHMS)
     return f[: len(on_grid)], f[len(on_grid) :]
 
 

@@ -97,6 +97,14 @@ OWN = (
 """Methods that only this comparison has."""
 
 
+def numbers_of(method: Method, predictions: Sequence[Combination]) -> int:
+    """Numbers per RGB file; for `nonnegative` the median of its non-zero weights and the atoms that they belong to."""
+    if method.key != "nonnegative":
+        return method.numbers(3)
+    kept = [prediction.weights.reshape(3, -1) > 0.0 for prediction in predictions]
+    return round(float(np.median([each.sum() + each.any(axis=0).sum() for each in kept])))
+
+
 def methods(names: Sequence[str], numbers: Sequence[int], anchors: Sequence[str]) -> list[Method]:
     """Methods by their keys, combinations of so many numbers, and anchors."""
     known = {m.key: m for m in (*standard_methods(), *OWN)}
@@ -155,9 +163,10 @@ def main() -> None:
             found = balls.look(i, ball) | Errors.of_values(truth, f, data.cosines)
             errors.append([getattr(found, column) for column in COLUMNS])
         both = np.percentile(errors, (50, 90), axis=0).T.tolist()
-        rows[method.key] = {"numbers": method.numbers(3), **dict(zip(COLUMNS, both, strict=True))}
+        numbers = numbers_of(method, predictions)
+        rows[method.key] = {"numbers": numbers, **dict(zip(COLUMNS, both, strict=True))}
         cells = [f"{m:.{d}f} / {p:.{d}f}" for (m, p), d in zip(both, (3, 3, 2, 2, 2), strict=True)]
-        print(f"| {method.title} | {method.numbers(3)} | {' | '.join(cells)} | {seconds:.2f} |", flush=True)
+        print(f"| {method.title} | {numbers} | {' | '.join(cells)} | {seconds:.2f} |", flush=True)
         for (_, out), row in zip(splits, errors, strict=True):
             if arguments.materials:
                 print(

@@ -25,7 +25,6 @@ from manifold.fit.fit_samples import FitSamples
 from manifold.fit.principled import fit_bsdf
 
 _EPSILON = 1e-3  # of the logarithm, in 1/sr, as Nielsen et al.
-_RIDGES = np.geomspace(0.1, 1000.0, 17)  # weights of the coefficients; Nielsen et al. have 40 for MERL
 _STRIDE = 6  # one in so many pairs of the default grid has a part in the principal components
 _ROUGHNESS = np.geomspace(0.02, 1.0, 40)  # of the fitted lobe
 _REWEIGHTED = 8  # rounds of the fit of cube roots
@@ -47,50 +46,66 @@ class Problem:
         return np.maximum(np.hstack([values_at(material, pairs) for material in self.materials]), 0.0)
 
 
-def ridge_of_logarithms(samples: Sequence[Array], cosines: Sequence[Array], values: Array) -> Array:
-    """Principal components of log-relative values, coefficients by ridge regression, band by band.
+@dataclass(frozen=True)
+class RidgeMapping:
+    """The mapping of values times cosines in which the components are linear, and the candidate ridge weights."""
+
+    forward: Callable[[Array], Array]
+    inverse: Callable[[Array], Array]
+    weights: Array
+
+
+LOGARITHMS = RidgeMapping(
+    lambda f: np.log(f + _EPSILON),
+    lambda y: np.maximum(np.exp(y) - _EPSILON, 0.0),
+    np.geomspace(0.1, 1000.0, 17),  # Nielsen et al. have 40 for MERL
+)
+CUBE_ROOTS = RidgeMapping(np.cbrt, lambda y: np.maximum(y, 0.0) ** 3, np.geomspace(1e-4, 10.0, 21))
+
+
+def ridge_on_components(
+    samples: Sequence[Array], cosines: Sequence[Array], values: Array, mapping: RidgeMapping
+) -> Array:
+    """Principal components of mapped values, coefficients by ridge regression, band by band.
 
     The weight of the coefficients has the least error of left-out readings, over all bands; Nielsen et al. chose it so
-    over MERL.
+    over MERL. Their reference, the median of the samples, cancels when the mean of the samples is subtracted.
 
     Args:
         samples: values of single bands of the library, (P, n): at the pairs of the components, of the readings, and
             where f is predicted.
         cosines: products of both cosines at these pairs, each (P,).
         values: readings (R, B), in 1/sr.
+        mapping: `LOGARITHMS` for the published method.
     Returns:
         f in 1/sr, (P, B).
-    Source: Nielsen, Jensen & Ramamoorthi 2015, eq. 2 to 6: ln((f w + e) / (m w + e)), m the median of the samples.
+    Source: Nielsen, Jensen & Ramamoorthi 2015, eq. 2 to 6.
     """
-
-    def mapped(f: Array, weight: Array) -> Array:
-        return np.log(f * np.maximum(weight, 1e-3)[:, None] + _EPSILON)
-
-    reference = [
-        mapped(np.median(f, axis=1, keepdims=True), weight)
-        for f, weight in zip(samples, cosines, strict=True)
-    ]
-    logs = [mapped(f, weight) - m for f, weight, m in zip(samples, cosines, reference, strict=True)]
-    means = [each.mean(axis=1, keepdims=True) for each in logs]
-    of_grid = logs[0] - means[0]
+    amplitudes = [np.maximum(each, 1e-3)[:, None] for each in cosines]
+    mapped = [mapping.forward(f * a) for f, a in zip(samples, amplitudes, strict=True)]
+    means = [each.mean(axis=1, keepdims=True) for each in mapped]
+    of_grid = mapped[0] - means[0]
     _, vectors = np.linalg.eigh(of_grid.T @ of_grid)
     vectors = vectors[:, 1:]  # centred samples span one dimension less
-    _, read, judged = [(each - mean) @ vectors for each, mean in zip(logs, means, strict=True)]
-    y = mapped(np.maximum(values, 0.0), cosines[1]) - reference[1] - means[1]
+    _, read, judged = [(each - mean) @ vectors for each, mean in zip(mapped, means, strict=True)]
+    y = mapping.forward(np.maximum(values, 0.0) * amplitudes[1]) - means[1]
     inner = read @ read.T
-    solved = [np.linalg.solve(inner + weight * np.eye(len(inner)), np.eye(len(inner))) for weight in _RIDGES]
+    solved = [np.linalg.inv(inner + weight * np.eye(len(inner))) for weight in mapping.weights]
     # The residual of a left-out reading k is (A^-1 y)_k / (A^-1)_kk, A = X X^T + weight.
     left_out = [np.sum((inverse @ y / np.diag(inverse)[:, None]) ** 2) for inverse in solved]
     coefficients = read.T @ solved[int(np.argmin(left_out))] @ y
-    f = np.exp(judged @ coefficients + means[2] + reference[2]) - _EPSILON
-    return np.maximum(f, 0.0) / np.maximum(cosines[2], 1e-3)[:, None]
+    return mapping.inverse(judged @ coefficients + means[2]) / amplitudes[2]
 
 
-def pca_ridge(problem: Problem) -> Array:
-    """Nielsen et al. 2015, with the weight by leave-one-out over the readings."""
-    places = [RusinkiewiczGrid.named("default").pairs(_STRIDE), problem.read, problem.judged]
-    samples, cosines = [problem.samples(pairs) for pairs in places], [pairs.cosines for pairs in places]
-    return ridge_of_logarithms(samples, cosines, problem.values)
+def _pca_ridge(mapping: RidgeMapping) -> Callable[[Problem], Array]:
+    """Ridge regression with the weight by leave-one-out over the readings."""
+
+    def complete(problem: Problem) -> Array:
+        places = [RusinkiewiczGrid.named("default").pairs(_STRIDE), problem.read, problem.judged]
+        samples, cosines = [problem.samples(pairs) for pairs in places], [pairs.cosines for pairs in places]
+        return ridge_on_components(samples, cosines, problem.values, mapping)
+
+    return complete
 
 
 def nearest(problem: Problem) -> Array:
@@ -198,6 +213,7 @@ def gaussian_process(problem: Problem) -> Array:
 
 
 BASELINES: dict[str, Callable[[Problem], Array]] = {
-    "pca_ridge": pca_ridge, "nearest": nearest, "principled": principled, "gaussian_process": gaussian_process,
-    "lambert_and_lobe": lambert_and_lobe, "lambert": lambert,
+    "pca_ridge": _pca_ridge(LOGARITHMS), "pca_ridge_of_cube_roots": _pca_ridge(CUBE_ROOTS), "nearest": nearest,
+    "principled": principled, "gaussian_process": gaussian_process, "lambert_and_lobe": lambert_and_lobe,
+    "lambert": lambert,
 }  # fmt: skip

@@ -24,11 +24,15 @@ import tempfile
 from pathlib import Path
 
 from evidence import FOLDER, REPOSITORY, RESULTS, data_hash, minutes, stamp, table
+from neural_fits import read_neural_fits, write_fits
 
 HERE = Path(__file__).resolve().parent
 MEASURED = {"FILES": "rgl", "NEURAL": "neural.zip", "WORKBOOKS": "ma-t12", "SPECTRAL": "spectral"}
 """Names of the data in a command, and where --data has them."""
-MADE_OF = {"LIBRARY": "FILES", "MODEL": "FILES", "WORKBOOK_FOLDER": "WORKBOOKS", "SURFACES": "WORKBOOKS"}
+MADE_OF = {
+    "LIBRARY": "FILES", "MODEL": "FILES", "NEURAL_LIBRARY": "NEURAL", "WORKBOOK_FOLDER": "WORKBOOKS",
+    "SURFACES": "WORKBOOKS",
+}  # fmt: skip
 """What is made of other data for the commands that name it."""
 SURFACES = ("PEN_PW_EB_PB_2", "PAR_PW_CN_MC_2", "PAR_PW_GE_MC_2")
 """Workbooks whose surfaces a page shows: one with flakes, two without."""
@@ -60,12 +64,22 @@ class Places:
             return [str(CHART)]
         if word in self._given:
             return [str(self._given[word].resolve())]
-        files = {"LIBRARY": "library.zarr", "MODEL": "model.h5", "CORPUS": "corpus"}
+        files = {
+            "LIBRARY": "library.zarr", "MODEL": "model.h5", "CORPUS": "corpus", "CORPUS_LIBRARY": "corpus.zarr",
+            "NEURAL_LIBRARY": "neural.zarr",
+        }  # fmt: skip
         if word not in files:
             return [word]
         path = self._folder / files[word]
         if not path.exists() and word == "CORPUS":
             self._run("corpus", str(path))
+        elif not path.exists() and word == "CORPUS_LIBRARY":
+            self._run("corpus", "corpus-rgb", "--rgb")
+            self._run("import", "corpus-rgb", "-L", str(path))
+        elif not path.exists() and word == "NEURAL_LIBRARY":
+            fits = self._folder / "neural"
+            write_fits(fits, read_neural_fits(self._given["NEURAL"]))
+            self._run("import", str(fits), "-L", str(path))
         elif not path.exists():
             self._run("import", str(self._given["FILES"].resolve()))
             self._run("embed")

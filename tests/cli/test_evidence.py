@@ -167,7 +167,7 @@ def test_refused_pictures_count_as_if_their_lamps_were_given():
         bench_lamps.with_refused([{}], ["sun"])
 
 
-DATA_WORDS = {*run_all.MEASURED, *run_all.MADE_OF, "CORPUS", "CHART"}
+DATA_WORDS = {*run_all.MEASURED, *run_all.MADE_OF, "CORPUS", "CORPUS_LIBRARY", "CHART"}
 
 
 @pytest.mark.parametrize("name", evidence.RESULTS)

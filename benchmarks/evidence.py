@@ -2,8 +2,9 @@
 
 `RESULTS` is the list; `run_all.py` runs it. Each `results/NAME.json` has an entry `_made`: command, version, commit,
 hash of the code, hash of the data, date, processor and processor seconds. The code is the benchmark, every module that
-it imports, directly or through others, and the loops of `cpp/`. Docstrings, comments, layout, the wording of sentences
-and the places of modules do not change the hash. Where it is None, the result is older than this record.
+it imports or that a registry names, directly or through others, the files of the package beside these modules, the
+built-in library, `cpp/` and `setup.py`. Docstrings, comments, layout, the wording of sentences and the places of
+modules do not change the hash. Where it is None, the result is older than this record.
 """
 
 from __future__ import annotations
@@ -48,11 +49,27 @@ class Result:
         return closure(starts)
 
     @property
+    def files_beside(self) -> list[Path]:
+        """Return the files without code in the folders of the sources that belong to the package, or to its tools."""
+        package = REPOSITORY / "manifold"
+        folders = {path.parent for path in self.sources} - {REPOSITORY / "benchmarks", REPOSITORY / "tools"}
+        folders |= {package / "colour" / "ior", package / "data"}
+        return sorted(p for folder in folders for p in folder.glob("*.*") if p.suffix not in WITHOUT_FIGURES)
+
+    @property
     def code_hash(self) -> str:
         """Return the SHA-256 of what `bare` keeps of the sources and of `cpp/`, shortened."""
         texts = [_bare_file(path, path.stat().st_mtime_ns) for path in self.sources]
         texts += [path.read_text(encoding="utf-8") for path in sorted((REPOSITORY / "cpp").glob("*.[ch]pp"))]
+        texts += [_bare_file(path, path.stat().st_mtime_ns) for path in REPOSITORY.glob("setup.py")]
+        texts += [
+            f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}" for path in self.files_beside
+        ]
         return hashlib.sha256("".join(sorted(texts)).encode()).hexdigest()[:16]
+
+
+WITHOUT_FIGURES = (".py", ".pyi", ".pyc", ".so", ".pyd", ".css", ".typed")
+"""Suffixes of files whose content decides no figure, or that are hashed as code."""
 
 
 @cache
@@ -80,12 +97,20 @@ def _imported(path: Path) -> tuple[Path, ...]:
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module is not None and node.level == 0:
-            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+        elif isinstance(node, ast.ImportFrom):
+            own = ".".join(path.relative_to(REPOSITORY).parts[: -node.level]) if node.level else ""
+            module = ".".join(filter(None, (own, node.module)))
+            names = [module, *(f"{module}.{alias.name}" for alias in node.names)]
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and _PLACE.fullmatch(node.value):
+            names = [node.value.partition(":")[0]]
         else:
             continue
         files += [file for name in names if (file := _file_of(name)) is not None]
     return tuple(files)
+
+
+_PLACE = re.compile(r"manifold(\.\w+)+:\w+")
+"""A place of an implementation in a registry."""
 
 
 def _file_of(name: str) -> Path | None:
@@ -167,7 +192,7 @@ RESULTS = {
     "cluster": Result("bench_cluster.py"),
     "gplvm": Result("bench_gplvm.py"),
     "prediction": Result("bench_prediction.py"),
-    "commands": Result("bench_commands.py FILES"),
+    "commands": Result("bench_commands.py FILES", ("cli",)),
     "engines": Result("make engines", ("tools/engines",)),
 }  # fmt: skip
 """Every result by name."""
@@ -178,35 +203,56 @@ def bare(source: str) -> str:
     return str(_plain(ast.parse(source)))
 
 
-def _plain(node: object) -> object:
+def _plain(node: object, in_message: bool = False) -> object:
     """A node as nested lists, in the same way under every version of Python."""
     if isinstance(node, list):
-        return [_plain(each) for each in node]
-    if not isinstance(node, ast.AST) or _is_sentence(node):
-        return "sentence" if isinstance(node, ast.AST) else repr(node)
+        return [_plain(each, in_message) for each in node]
+    if not isinstance(node, ast.AST):
+        return repr(node)
+    if isinstance(node, ast.Import | ast.ImportFrom):
+        return sorted(f"{alias.name.rpartition('.')[2]} {alias.asname}" for alias in node.names)
+    in_message = in_message or _is_message(node)
+    if _is_sentence(node, in_message):
+        return "sentence"
     fields = [(name, value) for name, value in ast.iter_fields(node) if name not in ("ctx", "kind")]
     if not isinstance(node, ast.Constant):  # newer versions of Python have more fields, empty here
         fields = [(name, value) for name, value in fields if value not in (None, [])]
-    return [type(node).__name__, *([name, _plain(_code(value))] for name, value in fields)]
+    return [type(node).__name__, *([name, _plain(_code(value), in_message)] for name, value in fields)]
 
 
 def _code(value: object) -> object:
-    """Statements without imports and docstrings of modules, classes, functions and attributes."""
+    """Statements without docstrings of modules, classes, functions and attributes."""
     if not isinstance(value, list):
         return value
     return [
-        each
-        for each in value
-        if not isinstance(each, ast.Import | ast.ImportFrom)
-        and not (isinstance(each, ast.Expr) and isinstance(each.value, ast.Constant))
+        each for each in value if not (isinstance(each, ast.Expr) and isinstance(each.value, ast.Constant))
     ]
 
 
-def _is_sentence(node: ast.AST) -> bool:
-    """Whether a node is a text with blanks, such as a message: its wording decides no figure."""
+_SPOKEN = ("print", "warn", "sentence", "error", "exit", "add_argument", "ArgumentParser")
+
+
+def _is_message(node: ast.AST) -> bool:
+    """Whether a statement or call only says something."""
+    if isinstance(node, ast.Raise):
+        return True
+    called = node.func if isinstance(node, ast.Call) else None
+    return getattr(called, "attr", getattr(called, "id", None)) in _SPOKEN
+
+
+def _is_sentence(node: ast.AST, in_message: bool) -> bool:
+    """Whether a node is a text whose wording decides no figure: a message, or four words and more that are no code.
+
+    Shorter texts with blanks are names, such as those of lights and errors.
+    """
     parts = node.values if isinstance(node, ast.JoinedStr) else [node]
-    texts = [part.value for part in parts if isinstance(part, ast.Constant)]
-    return any(isinstance(text, str) and " " in text.strip() for text in texts)
+    texts = [part.value for part in parts if isinstance(part, ast.Constant) and isinstance(part.value, str)]
+    text = " ".join(texts)
+    if in_message:
+        return any(" " in each.strip() for each in texts)
+    return sum(bool(re.search(r"[^\W\d]{2}", word)) for word in text.split()) >= 4 and not re.search(
+        r"[;={}]", text
+    )
 
 
 def data_hash(paths: Iterable[Path]) -> str:

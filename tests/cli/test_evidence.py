@@ -147,6 +147,27 @@ def test_the_hash_of_code_does_not_see_the_wording_of_messages():
     assert evidence.bare(source) != evidence.bare(source.replace("UsageError", "FileError"))
 
 
+def test_the_hash_of_code_sees_names_with_blanks_and_what_is_imported_under_a_name():
+    for source, changed in (
+        ("LIGHTS = ('sun 45', 'white')\n", "LIGHTS = ('sun 60', 'white')\n"),
+        ("from manifold.a import DEFAULT as G\n", "from manifold.a import HIKICHI as G\n"),
+        ("error = found['ball ITP']\n", "error = found['cube root']\n"),
+    ):
+        assert evidence.bare(source) != evidence.bare(changed)
+    moved = "from manifold.b import DEFAULT as G\n"
+    assert evidence.bare(moved) == evidence.bare("from manifold.a.c import DEFAULT as G\n")
+
+
+def test_the_code_of_a_result_includes_what_a_registry_names_and_files_of_the_package():
+    page = {
+        path.name for path in evidence.closure([evidence.REPOSITORY / "manifold" / "page" / "commands.py"])
+    }
+    assert "renders.py" in page  # named by "manifold.pictures.renders:render"
+    beside = {path.name for path in evidence.RESULTS["counts"].files_beside}
+    assert {"built_in.zip", "built_in.h5"} <= beside
+    assert not {path for path in beside if path.endswith((".py", ".so"))}
+
+
 def test_refused_pictures_count_as_if_their_lamps_were_given():
     given = {"sun, geometry": {str(n): 2.0 for n in (1, 2, 3, 5, 8)}}
     given["sun, geometry and card"] = dict.fromkeys(given["sun, geometry"], 1.0)

@@ -20,7 +20,7 @@ def use_built_in(context: Any) -> None:
     """Use the built-in library and model if none is given and the default paths do not exist.
 
     A message on stderr says so when one is opened. If the built-in library is given, the built-in model is used with
-    it.
+    it. A given model is used with its own library.
     """
     values, name = context.params, context.command.name
     if name in _WRITERS or not {"library", "model"} & values.keys():
@@ -30,6 +30,10 @@ def use_built_in(context: Any) -> None:
     is_default = not given & {"library", "model"} and not (DEFAULT_LIBRARY.exists() or DEFAULT_MODEL.exists())
     goes_with = "library" in given and shipped.is_built_in(values["library"]) and not DEFAULT_MODEL.exists()
     is_inspected = name == "info" and "path" in given  # a model names its own library
+    if "model" in given and "library" not in given and values.get("library") == DEFAULT_LIBRARY:
+        from manifold.model.manifold import load_model
+
+        values["library"] = load_model(values["model"], None).library.path
     if is_default and "library" in values and not is_inspected:
         values["library"] = shipped.BUILT_IN
     if (is_default or goes_with) and "model" not in given and values.get("model") is not None:

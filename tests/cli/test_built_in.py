@@ -103,6 +103,21 @@ def test_info_of_a_model_opens_the_library_of_the_model(run, tmp_path):
     assert "own.zarr" in out
 
 
+def test_a_given_model_is_used_with_its_own_library(run, tmp_path):
+    files = [tmp_path / f"{name}_rgb.bsdf" for name in ("paper_white", "paper_blue", "cardboard")]
+    for file in files:
+        mf.write_bsdf(file, Library("built-in").read(file.stem.removesuffix("_rgb")))
+    mf.import_files(tmp_path / "own.zarr", files)
+    mf.import_files(tmp_path / "library.zarr", files[:1])
+    mf.Manifold.fit(tmp_path / "own.zarr", calibrate=False).save(tmp_path / "own.h5")
+    status, out, _ = run("find", "--lab", "60,0,0", "--model", "own.h5", cwd=tmp_path)
+    assert status == 0
+    assert "cardboard" in out
+    status, out, _ = run("find", "--lab", "60,0,0", cwd=tmp_path)
+    assert status == 0
+    assert "cardboard" not in out
+
+
 def test_the_built_in_map_is_that_of_the_built_in_library():
     model = mf.built_in()
     assert model.names == model.library.names == tuple(sorted(shipped.about()["materials"]))

@@ -124,6 +124,12 @@ def fitted(*lit: int, sun_pixels: int = _SUN_PIXELS) -> Panel:
     return panel(FITTED, *lit, sun_pixels=sun_pixels)
 
 
+@lru_cache(maxsize=1)
+def fitted_pixels() -> Panel:
+    """Return some pixels of the lights used for fitting, enough to compare materials."""
+    return fitted(sun_pixels=FITTED_SUN_PIXELS).every(STRIDE)[0]
+
+
 def sun(degrees: float) -> Picture:
     """Return the pixels of the ball under a sun `degrees` to the right of the view, at the resolution of panels."""
     return ball_colours.sun_ball(degrees, _SUN_PIXELS)

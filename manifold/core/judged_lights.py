@@ -3,7 +3,7 @@
 from manifold.core.names import in_words
 
 JUDGED = ("studio 0", "white", "sun 45", "sun 80", "sun 130")
-"""The test lights, in which errors are measured and which no fit uses; see `colour.panel`."""
+"""The test lights, in which errors are measured. Balls are fitted in others; see `colour.panel`."""
 
 
 def light_in_words(name: str) -> str:

@@ -14,7 +14,7 @@ from manifold.core.defaults import MINI_DIFF_SEES_DEG, RIDGE
 from manifold.core.directions import angles_from_mirror, from_spherical
 from manifold.core.errors import UsageError
 from manifold.core.records import Array, Indices, Mask
-from manifold.estimate.atoms import LibraryAtoms, ball_coordinates
+from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.completion import Completion
 from manifold.estimate.mixtures import NOISE as READING_NOISE
 from manifold.estimate.mixtures import material_prior
@@ -149,7 +149,8 @@ def readings_to_take(
     holds the cube roots of the atoms at the candidates (n + 1, D), `where` the candidates' coordinates (D, 3), see
     `residual.coordinates`.
     """
-    n = len(at) - 1
+    n, lights = len(at) - 1, panel.fitted_pixels()
+    on_ball = atoms.at(lights.wi, lights.wo)
     if known is None:
         N = len(atoms.materials)
         probability: Array = np.repeat(material_prior(N, len(atoms.names)), n // N) / (n // N)
@@ -163,36 +164,41 @@ def readings_to_take(
     square = probability @ (weights @ at) ** 2
     return next_readings(
         (
-            _structure(atoms, weights, probability, at),
-            _colours(atoms, at, square, taken, probability @ (weights @ taken) ** 2),
-            _residual(where, centres, np.sqrt(square), (probability @ weights) @ atoms.ball),
+            _structure(atoms, weights, probability, at, on_ball),
+            _colours(atoms, at, on_ball, square, taken, probability @ (weights @ taken) ** 2),
+            _residual(where, centres, np.sqrt(square), (probability @ weights) @ on_ball),
         ),
         count,
     )
 
 
-def _structure(atoms: LibraryAtoms, weights: Array, probability: Array, at: Array) -> Deviations:
+def _structure(
+    atoms: LibraryAtoms, weights: Array, probability: Array, at: Array, on_ball: Array
+) -> Deviations:
     """Return deviations of hypotheses with weights (H, n + 1) from their mean."""
     root = np.sqrt(probability)[:, None]
     on_grid = weights @ atoms.directions[:, : atoms.n_grid] * np.sqrt(atoms.weights[: atoms.n_grid])
     candidates = weights @ at
-    at_candidates, on_ball, everywhere = (
-        root * (table - probability @ table) for table in (candidates, _pixels(weights @ atoms.ball), on_grid)
+    at_candidates, pixels, everywhere = (
+        root * (table - probability @ table) for table in (candidates, _pixels(weights @ on_ball), on_grid)
     )
-    return Deviations(at_candidates, on_ball, everywhere, _noise(probability @ candidates**2, READING_NOISE))
+    return Deviations(at_candidates, pixels, everywhere, _noise(probability @ candidates**2, READING_NOISE))
 
 
-def _colours(atoms: LibraryAtoms, at: Array, square: Array, taken: Array, taken_square: Array) -> Deviations:
+def _colours(
+    atoms: LibraryAtoms, at: Array, on_ball: Array, square: Array, taken: Array, taken_square: Array
+) -> Deviations:
     """Return deviations of bands from the mean over the bands of their material, given the T readings taken.
 
-    Cube roots of atoms are (n + 1, D) at the candidates and (n + 1, T) at the readings; the expected squares of the
+    Cube roots of atoms are (n + 1, D) at the candidates, (n + 1, P_b) at pairs that light a ball, and (n + 1, T) at the
+    readings; the expected squares of the
     material's there (D,) and (T,).
     """
     n, D = atoms.n_measured, at.shape[1]
     root = 1.0 / np.sqrt(n)
     deviations = Deviations(
         np.hstack([root * (roots - _mean_roots(atoms, roots)) for roots in (at[:n], taken[:n])]),
-        root * (_pixels(atoms.ball[:n]) - _pixels(_mean_roots(atoms, atoms.ball[:n]))),
+        root * (_pixels(on_ball[:n]) - _pixels(_mean_roots(atoms, on_ball[:n]))),
         np.zeros((n, 0)),
         _noise(np.append(square, taken_square), _COLOUR_NOISE),
     )
@@ -207,11 +213,12 @@ def _residual(where: Array, taken: Array, level: Array, mean_on_ball: Array) -> 
     Candidates have coordinates (D, 3), readings (T, 3); expected cube roots are `level` (D,), and (P_b,) at pairs that
     light a ball.
     """
-    lights, f = panel.judged(), np.maximum(mean_on_ball, 0.0) ** 3
+    lights, f = panel.fitted_pixels(), np.maximum(mean_on_ball, 0.0) ** 3
+    on_ball = coordinates(lights.wi, lights.wo)
     total = np.maximum(lights.of(f), np.finfo(float).tiny)
 
     def with_pixels(of: Array) -> Array:
-        return np.asarray(lights.of((covariance(of, ball_coordinates()) * f).T).T / total)
+        return np.asarray(lights.of((covariance(of, on_ball) * f).T).T / total)
 
     own, of_pixels = covariance(where, where), with_pixels(where)
     if len(taken):
@@ -219,10 +226,10 @@ def _residual(where: Array, taken: Array, level: Array, mean_on_ball: Array) -> 
         gain = np.linalg.solve(covariance(taken, taken) + NOISE * np.eye(len(taken)), between.T).T
         own, of_pixels = own - gain @ between.T, of_pixels - gain @ with_pixels(taken)
     L = np.linalg.cholesky(own + RIDGE * np.eye(len(own)))
-    on_ball = solve_triangular(L, of_pixels, lower=True)
+    pixels = solve_triangular(L, of_pixels, lower=True)
     return Deviations(
         _MODEL_ERROR * L.T * level,
-        _MODEL_ERROR * on_ball * _pixels(mean_on_ball[None])[0],
+        _MODEL_ERROR * pixels * _pixels(mean_on_ball[None])[0],
         np.zeros((len(L), 0)),
         NOISE * (_MODEL_ERROR * level) ** 2,
     )
@@ -235,7 +242,7 @@ def _noise(square: Array, share: float) -> Array:
 
 def _pixels(roots: Array) -> Array:
     """Return cube roots of the light of every pixel of a ball, at most 1, from cube roots of f (h, P_b): (h, K)."""
-    return np.asarray(np.cbrt(np.minimum(panel.judged().of(np.maximum(roots, 0.0).T ** 3).T, 1.0)))
+    return np.asarray(np.cbrt(np.minimum(panel.fitted_pixels().of(np.maximum(roots, 0.0).T ** 3).T, 1.0)))
 
 
 def _mean_roots(atoms: LibraryAtoms, roots: Array) -> Array:

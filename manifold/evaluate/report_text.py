@@ -83,7 +83,7 @@ _LIGHTS: Columns = (
     ("p90", lambda m: f"{m.p90.worst:.1f}"),
 )
 _LIGHTS_NOTE = (
-    "Median CIEDE2000 of the ball in lights that no fit uses: studio, uniform white, suns at these angles from the "
+    "Median CIEDE2000 of the ball in the test lights: studio, uniform white, suns at these angles from the "
     "view, in degrees.",
     "worst, p90: median and 90th percentile over the materials, each in its worst light.",
 )

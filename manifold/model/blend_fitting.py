@@ -33,11 +33,6 @@ Floats = NDArray[np.float32]  # single precision: there are thousands of materia
 Halves = NDArray[np.float16]  # cube roots to 0.05 %, which no colour difference shows
 
 
-def _lights() -> panel.Panel:
-    """Return the balls by which materials are compared, in the lights used for fitting."""
-    return panel.fitted(sun_pixels=panel.FITTED_SUN_PIXELS).every(panel.STRIDE)[0]
-
-
 @dataclass(frozen=True, eq=False)
 class Appearance:
     """The values by which N materials are compared.
@@ -60,14 +55,18 @@ class Appearance:
     @property
     def lightness(self) -> Array:
         """Return the mean CIELAB lightness of the balls, shape (N,)."""
-        return np.asarray(self.lab[..., 0] @ _lights().pixel_weights / self.lab.shape[1])
+        return np.asarray(self.lab[..., 0] @ panel.fitted_pixels().pixel_weights / self.lab.shape[1])
 
     def compare(self, i: int, others: Indices) -> Array:
         """Return the differences of material i from others (n,), shape (2, n).
 
         The rows are the mean CIEDE2000 between the balls, and the distance between the logarithms.
         """
-        ball = delta_e_2000_lab(self.lab[others], self.lab[i]) @ _lights().pixel_weights / self.lab.shape[1]
+        ball = (
+            delta_e_2000_lab(self.lab[others], self.lab[i])
+            @ panel.fitted_pixels().pixel_weights
+            / self.lab.shape[1]
+        )
         apart = self.logs[others].astype(np.float64) - self.logs[i]
         return np.stack([ball, np.sqrt(np.einsum("nd,nd->n", apart, apart))])
 
@@ -78,10 +77,7 @@ class Appearance:
         for i in range(1, N):
             found[:, i, :i] = self.compare(i, np.arange(i))
         ball, shape = found + found.transpose(0, 2, 1)
-        upper = np.triu_indices(N, 1)
-        median = np.median(shape[upper])
-        scale = float(np.median(ball[upper]) / median) if median > 0.0 else 1.0
-        return AppearanceDistances(ball, scale * shape, self.lightness, scale)
+        return AppearanceDistances.of(ball, shape, self.lightness)
 
 
 def _mixed(ball: Array, shape: Array) -> Array:
@@ -105,10 +101,20 @@ class AppearanceDistances:
     lightness: Array
     scale: float
 
+    @classmethod
+    def of(cls, ball: Array, shape: Array, lightness: Array, scale: float = 1.0) -> AppearanceDistances:
+        """Scale distances of logarithms, already multiplied by `scale`, to the median of those of the balls."""
+        upper = np.triu_indices(len(ball), 1)
+        median = np.median(shape[upper])
+        more = float(np.median(ball[upper]) / median) if median > 0.0 else 1.0
+        return cls(ball, more * shape, lightness, scale * more)
+
     def subset(self, materials: Indices) -> AppearanceDistances:
         """Return the distances between some of the materials, given their indices (n,)."""
         rows = np.ix_(materials, materials)
-        return AppearanceDistances(self.ball[rows], self.shape[rows], self.lightness[materials], self.scale)
+        return AppearanceDistances.of(
+            self.ball[rows], self.shape[rows], self.lightness[materials], self.scale
+        )
 
     def layout(self, latent_dim: int) -> Array:
         """Return positions (N, Q) of the materials on a map of Q dimensions, in length scales of the kernel."""
@@ -170,7 +176,7 @@ def evaluate(
     white, grid, looks, lights = (
         srgb_to_xyz(np.ones(3)),
         encoding_pairs(is_isotropic),
-        _lights(),
+        panel.fitted_pixels(),
         panel.judged(),
     )
     studio = len(ball_colours.ball())

@@ -338,7 +338,7 @@ def test_the_next_reading_is_the_one_that_lowers_both_errors_most(rng):
 
 def test_residuals_of_all_hypotheses_are_known_near_readings_as_regression_says(rng):
     where, taken = (rng.random((n, 3)) * 4.0 for n in (6, 3))
-    lights = panel.judged()
+    lights = panel.fitted_pixels()
     lit, on_ball, level = coordinates(lights.wi, lights.wo), rng.random(len(lights.wi)), rng.random(6) + 0.5
     found = _residual(where, taken, level, on_ball)
     gain = np.linalg.solve(covariance(taken, taken) + 0.3 * np.eye(3), covariance(taken, where)).T
@@ -360,6 +360,11 @@ def test_the_first_suggested_readings_include_a_highlight_and_a_body_direction(a
     away = np.degrees(np.arccos(half[:, 2] / np.linalg.norm(half, axis=1)))
     assert away.min() < 5.0
     assert away.max() > 15.0
+
+
+def test_suggestions_do_not_look_at_balls_in_the_test_lights(atoms):
+    blind = replace(atoms, ball=np.zeros_like(atoms.ball))
+    np.testing.assert_array_equal(suggest(blind, 4).wo, suggest(atoms, 4).wo)
 
 
 # -- completions ------------------------------------------------------------------------------------------------

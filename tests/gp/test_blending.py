@@ -154,6 +154,15 @@ def test_rounding_of_the_inputs_does_not_change_a_map(rng):
     np.testing.assert_allclose(disturbed.layout(2), known.layout(2), atol=1e-3)
 
 
+def test_distances_of_some_materials_do_not_depend_on_the_others():
+    materials = [MeasuredBRDF(measured(name)) for name in NAMES]
+    looks, some = evaluate(materials, np.arange(3), all_isotropic(materials))[0], np.arange(len(NAMES) - 2)
+    of_all, of_some = looks.distances().subset(some), looks.subset(some).distances()
+    np.testing.assert_allclose(of_all.shape, of_some.shape, rtol=1e-12)
+    np.testing.assert_allclose(of_all.scale, of_some.scale, rtol=1e-12)
+    np.testing.assert_array_equal(of_all.ball, of_some.ball)
+
+
 def test_copies_of_one_sample_are_laid_out_beside_others_and_refused_alone():
     copies = np.zeros((4, 4))
     with pytest.raises(ShapeError, match="all 4 samples are identical"):

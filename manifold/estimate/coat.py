@@ -446,8 +446,16 @@ class RecoatedBRDF(WrappedBRDF):
         """Return f in 1/sr, shape (..., B)."""
         f = np.maximum(self._brdf.eval(wi, wo), 0.0)
         parts = [_parts(coat, wi, wo) for coat in (self._old, self._new)]
-        above, share = _highlight(f, parts[0], parts[1][0], self._strength)
+        most = _most_strength(self._new, wi, wo, self._strength)
+        above, share = _highlight(f, parts[0], parts[1][0], most)
         return np.asarray(self._tint * above + share * parts[1][1])
+
+
+def _most_strength(coat: Plastic, wi: Array, wo: Array, strength: Array) -> Array:
+    """Limit how many times the coat's highlight is multiplied: no facet reflects more than all light, (..., B)."""
+    cosines = np.sqrt(np.maximum(0.5 + 0.5 * np.sum(wi * wo, axis=-1), 0.0))  # from the half vector
+    facets = coat.boundary.reflectance(cosines.ravel())
+    return np.minimum(strength, 1.0 / np.maximum(facets, TINY).reshape(*cosines.shape, -1))
 
 
 def _parts(coat: Plastic, wi: Array, wo: Array) -> tuple[Array, Array]:
@@ -461,7 +469,7 @@ def exchanged(f: Array, old: tuple[Array, Array], new: tuple[Array, Array], stre
 
     The part of f that the old coat's base explains is scaled by the ratio of the two bases. The rest, the highlight,
     is replaced by the new coat's highlight, multiplied by the ratio of the material's highlight to the old coat's, up
-    to `strength` (B,) >= 1; the highlight of a metal therefore stays coloured. For coats see `_parts`.
+    to `strength` (..., B) >= 1; the highlight of a metal therefore stays coloured. For coats see `_parts`.
     """
     above, share = _highlight(f, old, new[0], strength)
     return np.asarray(above + share * new[1])
@@ -497,8 +505,9 @@ def with_gloss(brdf: BRDF, gloss: GlossUnits) -> RecoatedBRDF:
 
     def off(new: Plastic) -> Array:
         made = [
-            float(m.of(luminance(exchanged(f, parts, _parts(new, m.wi, m.wo), strength), bands))[0])
+            float(m.of(luminance(exchanged(f, parts, _parts(new, m.wi, m.wo), most), bands))[0])
             for m, (f, parts) in zip(meters, values, strict=True)
+            for most in [_most_strength(new, m.wi, m.wo, strength)]
         ]
         seen = lab_of_factor(exchanged(factor, of_old, _factors(new), strength), bands)
         return np.append(gloss_misfits(np.array(made), gloss), (seen - colour) / COLOUR_TOLERANCE)

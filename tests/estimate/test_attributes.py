@@ -32,7 +32,7 @@ from manifold.estimate.attributes import (
     find,
     lab_of,
 )
-from manifold.estimate.coat import ColourSample, read_colours, with_gloss
+from manifold.estimate.coat import ColourSample, RecoatedBRDF, read_colours, with_gloss
 from manifold.estimate.edits import own_values
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.predictions import predict
@@ -236,6 +236,18 @@ def test_another_gloss_keeps_a_colour_darker_than_the_coat(alpha):
     glossy = with_gloss(paint, {60.0: 40.0})
     assert gloss_units(glossy, [60.0])[60.0] == pytest.approx(40.0, rel=GLOSS_TOLERANCE)
     np.testing.assert_allclose(lab_of(glossy), lab_of(paint), atol=0.1)
+
+
+def test_facets_of_a_new_coat_reflect_at_most_all_light(rng):
+    """Where the old coat's highlight is dark, the ratio of the highlights exceeds what any surface reflects."""
+    bands, index = Bands(None), np.array(1.5)
+    metal = RoughConductor(GGX.isotropic(0.8), np.full(3, 0.05), np.full(3, 6.0), bands)
+    old, new = (Plastic(GGX.isotropic(alpha), index, np.zeros(3), bands) for alpha in (0.05, 0.4))
+    made = RecoatedBRDF(metal, old, new, np.full(3, 50.0))
+    wi, wo = (from_spherical(rng.uniform(0.0, 1.5, 200), rng.uniform(0.0, 6.28, 200)) for _ in range(2))
+    facets = new.boundary.reflectance(np.sqrt(0.5 + 0.5 * np.sum(wi * wo, axis=1)))
+    mirrors = new.boundary.eval(wi, wo) / facets
+    assert np.all(made.eval(wi, wo) <= (metal.eval(wi, wo) + mirrors) * (1.0 + 1e-9))
 
 
 def test_another_colour_of_the_base_leaves_a_dielectric_highlight_and_tints_that_of_a_metal():

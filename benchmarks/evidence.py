@@ -15,7 +15,8 @@ import json
 import platform
 import re
 import subprocess
-from collections.abc import Iterable
+import zipfile
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache
@@ -255,13 +256,29 @@ def _is_sentence(node: ast.AST, in_message: bool) -> bool:
     )
 
 
+DATA = (".bsdf", ".brdf", ".csv", ".h5", ".xlsx", ".zip")
+"""Suffixes of the files in a folder of data that benchmarks read."""
+
+
 def data_hash(paths: Iterable[Path]) -> str:
-    """SHA-256 of the names and contents of files, or of those in folders, shortened."""
-    digest = hashlib.sha256()
-    for path in sorted(paths):
-        for file in sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]:
-            digest.update(file.name.encode() + hashlib.sha256(file.read_bytes()).digest())
-    return digest.hexdigest()[:16]
+    """SHA-256 of the names and contents of files, of those in folders, or of the members of zip files, shortened."""
+    sums = set()
+    for path in paths:
+        for file in (p for p in path.rglob("*") if p.suffix in DATA) if path.is_dir() else [path]:
+            for name, content in _contents(file):
+                sums.add(name + hashlib.sha256(content).hexdigest())
+    return hashlib.sha256("".join(sorted(sums)).encode()).hexdigest()[:16]
+
+
+def _contents(file: Path) -> Iterator[tuple[str, bytes]]:
+    """Yield name and content of a file, or of each member of a zip file."""
+    if file.suffix != ".zip":
+        yield file.name, file.read_bytes()
+        return
+    with zipfile.ZipFile(file) as packed:
+        for member in packed.infolist():
+            if Path(member.filename).suffix in DATA:
+                yield Path(member.filename).name, packed.read(member)
 
 
 def stamp(name: str, path: Path, data: dict[str, str], seconds: float | None) -> None:

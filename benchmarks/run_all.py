@@ -23,7 +23,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from evidence import FOLDER, REPOSITORY, RESULTS, data_hash, minutes, stamp, table
+from evidence import FOLDER, REPOSITORY, RESULTS, data_hash, minutes, record, stamp, table
 from neural_fits import read_neural_fits, write_fits
 
 HERE = Path(__file__).resolve().parent
@@ -121,7 +121,10 @@ def measure(name: str, places: Places, folder: Path) -> str | None:
     if RESULTS[name].code_hash != code:
         return "its code changed during the run"
     seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    stamp(name, target, places.hashes(words), seconds)
+    data, kept = places.hashes(words), FOLDER / target.name
+    if kept.exists() and record(name)["data"] != data:
+        print("   its data differ from those of the kept result", flush=True)
+    stamp(name, target, data, seconds)
     shutil.move(target, FOLDER / target.name)
     print(f"   {seconds / 60.0:.1f} processor minutes", flush=True)
     return None

@@ -6,6 +6,7 @@ import json
 import re
 import subprocess
 import sys
+import zipfile
 
 import pytest
 from helpers.paths import REPOSITORY
@@ -92,7 +93,7 @@ def stand_in(tmp_path, monkeypatch):
 
     def run(end):
         program.write_text(STAND_IN.replace("END", end))
-        kept.write_text(json.dumps({"_made": {"processor_seconds": None}, "first": 0}))
+        kept.write_text(json.dumps({"_made": {"processor_seconds": None, "data": {}}, "first": 0}))
         run_all.main()
         return json.loads(kept.read_text())
 
@@ -166,6 +167,19 @@ def test_the_code_of_a_result_includes_what_a_registry_names_and_files_of_the_pa
     beside = {path.name for path in evidence.RESULTS["counts"].files_beside}
     assert {"built_in.zip", "built_in.h5"} <= beside
     assert not {path for path in beside if path.endswith((".py", ".so"))}
+
+
+def test_the_hash_of_data_sees_contents_and_not_how_they_are_packed(tmp_path):
+    folder, packed = tmp_path / "fits", tmp_path / "fits.zip"
+    folder.mkdir()
+    (folder / "gold.h5").write_bytes(b"1")
+    with zipfile.ZipFile(packed, "w") as target:
+        target.write(folder / "gold.h5", "any/gold.h5")
+    before = evidence.data_hash([folder])
+    (folder / "README.md").write_text("notes")
+    assert evidence.data_hash([folder]) == evidence.data_hash([packed]) == before
+    (folder / "gold.h5").write_bytes(b"2")
+    assert evidence.data_hash([folder]) != before
 
 
 def test_refused_pictures_count_as_if_their_lamps_were_given():

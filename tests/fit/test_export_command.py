@@ -20,7 +20,6 @@ from manifold.fit.principled import fit_bsdf
 from manifold.io_rgl import write_bsdf
 from manifold.many.batch import batch
 from manifold.model.manifold import Manifold
-from manifold.pictures import fit_comparison as comparison
 from manifold.registries import TARGETS
 from manifold.render import fit_json
 from manifold.render.bsdf_parameters import principled
@@ -33,9 +32,10 @@ pytestmark = pytest.mark.usefixtures("quick_pictures")
 
 @pytest.fixture(autouse=True)
 def short_fits(monkeypatch):
-    """Direct fits of a quarter of the samples, which stop early."""
-    monkeypatch.setattr(direct, "_PAIRS", 128)
-    monkeypatch.setattr(direct, "_EVALUATIONS", 10)
+    """Direct fits of an eighth of the samples, which stop early."""
+    monkeypatch.setattr(direct, "_PAIRS", 64)
+    monkeypatch.setattr(direct, "_EVALUATIONS", 6)
+    monkeypatch.setattr(direct, "_FILM_STARTS", 1)
 
 
 @pytest.fixture(scope="module")
@@ -127,8 +127,7 @@ def test_an_export_that_is_not_a_close_fit_has_a_note(folder, tmp_path, monkeypa
     assert [one.content["errors"]["ball"] > 2.0 for one in found] == said == [False, True]
 
 
-def test_a_measured_file_is_fitted_on_the_way(folder, tmp_path, monkeypatch):
-    monkeypatch.setattr(comparison, "_PIXELS", 32)
+def test_a_measured_file_is_fitted_on_the_way(folder, tmp_path):
     words = ["-o", tmp_path / "x.json", "--target", "unreal", "--picture"]
     result = run("export", folder / "copper_rgb.bsdf", *words)
     assert result.exit_code == 0, result.output

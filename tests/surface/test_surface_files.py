@@ -448,6 +448,7 @@ def test_a_target_that_takes_no_textures_is_refused(name, tmp_path):
         files.make_surface(tmp_path, None, None, tmp_path / "made", targets=[name])
 
 
+@pytest.mark.usefixtures("quick_pictures")
 def test_surfaces_of_a_folder_go_into_one_with_a_table_and_a_sheet(tmp_path, library, monkeypatch):
     monkeypatch.setattr(files, "write_exports", lambda *_: {})
     (tmp_path / "books").mkdir()

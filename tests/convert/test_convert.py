@@ -165,7 +165,9 @@ def test_conversions_say_what_readings_leave_open(files, tmp_path, coarse_mbsdf)
 
     def said(readings, to):
         astm.write(tmp_path / "given.astm", readings)
-        return " ".join(convert([tmp_path / "given.astm"], tmp_path / f"out{to}", options=Options(16, 16)).notes)
+        return " ".join(
+            convert([tmp_path / "given.astm"], tmp_path / f"out{to}", options=Options(16, 16)).notes
+        )
 
     whole = registry.read_readings(files["mini-diff"])
     assert said(whole, ".bsdf").startswith("spectra are estimated from 3 bands")

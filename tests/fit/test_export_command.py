@@ -7,6 +7,7 @@ import shutil
 
 import pytest
 from helpers.exported_files import gltf_parameters, read_glb
+from helpers.quick_fits import fit_quickly
 from helpers.small_library import NAMES, measured, small_library
 from matplotlib.image import imread
 from typer.testing import CliRunner
@@ -15,7 +16,6 @@ from manifold.cli.main import app
 from manifold.core import progress
 from manifold.core.errors import ManifoldError, UsageError
 from manifold.fit import exporting, fits
-from manifold.fit.exports import direct
 from manifold.fit.principled import fit_bsdf
 from manifold.io_rgl import write_bsdf
 from manifold.many.batch import batch
@@ -32,10 +32,7 @@ pytestmark = pytest.mark.usefixtures("quick_pictures")
 
 @pytest.fixture(autouse=True)
 def short_fits(monkeypatch):
-    """Direct fits of an eighth of the samples, which stop early."""
-    monkeypatch.setattr(direct, "_PAIRS", 64)
-    monkeypatch.setattr(direct, "_EVALUATIONS", 6)
-    monkeypatch.setattr(direct, "_FILM_STARTS", 1)
+    fit_quickly(monkeypatch)
 
 
 @pytest.fixture(scope="module")

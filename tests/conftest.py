@@ -50,7 +50,8 @@ def pytest_deselected(items: list[pytest.Item]) -> None:
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Tell the process that shares tests out."""
+    """Tell the process that shares tests out; let the interpreter free all at its end, or nanobind reports leaks."""
+    gc.unfreeze()
     if hasattr(session.config, "workeroutput"):
         session.config.workeroutput["slow_left"] = session.config.stash.get(SLOW_LEFT, 0)
 

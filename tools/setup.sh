@@ -7,7 +7,7 @@
 #   tools/setup.sh docs     what the documentation site needs as well: Sphinx, and KaTeX, which converts formulas
 #
 # PYTHON names the interpreter (3.11 or newer); by default the first suitable one on the PATH.
-# INSTALLER=uv installs by uv, in two thirds of pip's processor time and without its waits; uv does not read pip's settings.
+# INSTALLER=uv installs by uv, in two thirds of pip's processor time; uv does not read pip's settings.
 # g++ compiles the loops of cpp/, and libllvm19 lets Mitsuba run its fast variants: without it everything works, slower.
 # Both are installed where they are missing and apt may be used. The tests of pages need Debian's chromium, which `dev` installs likewise; those of
 # shaders in other languages need glslang-tools and spirv-cross; those of glTF files by other programs need three.js and Khronos' validator, which `dev` installs into .venv where npm is there.

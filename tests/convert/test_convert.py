@@ -45,7 +45,7 @@ def files(tmp_path_factory):
 
 @pytest.fixture
 def coarse_mbsdf(monkeypatch):
-    """Small files in linear sRGB, for tests of colours: MERL's have half a million values that differ from -1."""
+    """Small files in linear sRGB, for tests of colours: those of MERL have 1.5 million nodes."""
     monkeypatch.setattr(mbsdf, "SHAPE", (9, 9, 18))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import signal
 from pathlib import Path
 
@@ -12,6 +13,8 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell starts what 
     signal.signal(
         signal.SIGINT, signal.default_int_handler
     )  # or programs that tests interrupt would ignore it, too
+
+gc.disable()  # until all tests are collected
 
 SLOW_LEFT = pytest.StashKey[int]()
 LONGEST = (
@@ -33,6 +36,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: place.get(item.path.name, len(LONGEST)))
 
 
+def pytest_collection_finish() -> None:
+    """Look for garbage among what tests make alone, and not each time among all imported modules and tests."""
+    gc.freeze()
+    gc.enable()
+
+
 def pytest_deselected(items: list[pytest.Item]) -> None:
     """Count the slow tests that are left out; where tests are shared out, in every worker."""
     left = [item for item in items if item.get_closest_marker("slow")]
@@ -41,7 +50,8 @@ def pytest_deselected(items: list[pytest.Item]) -> None:
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Tell the process that shares tests out."""
+    """Tell the process that shares tests out; let the interpreter free all at its end, or nanobind reports leaks."""
+    gc.unfreeze()
     if hasattr(session.config, "workeroutput"):
         session.config.workeroutput["slow_left"] = session.config.stash.get(SLOW_LEFT, 0)
 

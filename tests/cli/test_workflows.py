@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.mitsuba_reference import measured
+from helpers.quick_fits import fit_quickly
 from helpers.quick_pictures import draw_quickly
 from helpers.real_materials import real_materials
 from helpers.small_library import small_model
@@ -73,6 +74,7 @@ def few_materials():
         patch.setattr(demo_module, "RenderSettings", little)
         patch.setattr(comparison, "picture_of_fit", partial(comparison.picture_of_fit, settings=little()))
         draw_quickly(patch)
+        fit_quickly(patch)
         yield few
 
 

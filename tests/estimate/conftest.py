@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.quick_fits import fit_quickly
 from helpers.quick_pictures import draw_quickly
 from helpers.small_library import measured
 
@@ -27,6 +28,7 @@ def small_pictures() -> Iterator[None]:
         patch.setattr(photographs, "_SAMPLES", 8)
         patch.setattr(sightings, "SAMPLES", 128)
         draw_quickly(patch)
+        fit_quickly(patch)
         yield
 
 

@@ -7,6 +7,7 @@ import shutil
 
 import pytest
 from helpers.exported_files import gltf_parameters, read_glb
+from helpers.quick_fits import fit_quickly
 from helpers.small_library import NAMES, measured, small_library
 from matplotlib.image import imread
 from typer.testing import CliRunner
@@ -15,12 +16,10 @@ from manifold.cli.main import app
 from manifold.core import progress
 from manifold.core.errors import ManifoldError, UsageError
 from manifold.fit import exporting, fits
-from manifold.fit.exports import direct
 from manifold.fit.principled import fit_bsdf
 from manifold.io_rgl import write_bsdf
 from manifold.many.batch import batch
 from manifold.model.manifold import Manifold
-from manifold.pictures import fit_comparison as comparison
 from manifold.registries import TARGETS
 from manifold.render import fit_json
 from manifold.render.bsdf_parameters import principled
@@ -33,9 +32,7 @@ pytestmark = pytest.mark.usefixtures("quick_pictures")
 
 @pytest.fixture(autouse=True)
 def short_fits(monkeypatch):
-    """Direct fits of a quarter of the samples, which stop early."""
-    monkeypatch.setattr(direct, "_PAIRS", 128)
-    monkeypatch.setattr(direct, "_EVALUATIONS", 10)
+    fit_quickly(monkeypatch)
 
 
 @pytest.fixture(scope="module")
@@ -127,8 +124,7 @@ def test_an_export_that_is_not_a_close_fit_has_a_note(folder, tmp_path, monkeypa
     assert [one.content["errors"]["ball"] > 2.0 for one in found] == said == [False, True]
 
 
-def test_a_measured_file_is_fitted_on_the_way(folder, tmp_path, monkeypatch):
-    monkeypatch.setattr(comparison, "_PIXELS", 32)
+def test_a_measured_file_is_fitted_on_the_way(folder, tmp_path):
     words = ["-o", tmp_path / "x.json", "--target", "unreal", "--picture"]
     result = run("export", folder / "copper_rgb.bsdf", *words)
     assert result.exit_code == 0, result.output

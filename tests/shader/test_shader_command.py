@@ -19,6 +19,8 @@ from manifold.render.bsdf_parameters import principled
 
 SATIN = "syn_satin_gold"
 
+pytestmark = pytest.mark.usefixtures("quick_pictures")
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):

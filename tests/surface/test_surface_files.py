@@ -15,6 +15,8 @@ import surface_twins
 from helpers.browser import chromium
 from helpers.exported_files import read_glb
 from helpers.lamp_scene import under_lamp
+from helpers.quick_fits import fit_quickly
+from helpers.quick_pictures import draw_quickly
 from helpers.small_library import small_model
 from helpers.three_js import ThreeJs, node_modules
 from PIL import Image
@@ -44,8 +46,17 @@ from manifold.surface.tiling import Textures
 from manifold.surface.written import read_surface
 
 
+@pytest.fixture(scope="module", autouse=True)
+def quickly_made():
+    """Balls and fits of exports, at which no test here looks."""
+    with pytest.MonkeyPatch.context() as patch:
+        draw_quickly(patch)
+        fit_quickly(patch)
+        yield
+
+
 @pytest.fixture(scope="module")
-def printed(tmp_path_factory, library):
+def printed(tmp_path_factory, library, quickly_made):
     """Output of the command, its folder, and what its JSON says."""
     folder = tmp_path_factory.mktemp("surface")
     workbook(folder / "twin.xlsx", np.random.default_rng(3))

@@ -7,7 +7,6 @@
 #   tools/setup.sh docs     what the documentation site needs as well: Sphinx, and KaTeX, which converts formulas
 #
 # PYTHON names the interpreter (3.11 or newer); by default the first suitable one on the PATH.
-# INSTALLER=uv installs by uv, in two thirds of pip's processor time; uv does not read pip's settings.
 # g++ compiles the loops of cpp/, and libllvm19 lets Mitsuba run its fast variants: without it everything works, slower.
 # Both are installed where they are missing and apt may be used. The tests of pages need Debian's chromium, which `dev` installs likewise; those of
 # shaders in other languages need glslang-tools and spirv-cross; those of glTF files by other programs need three.js and Khronos' validator, which `dev` installs into .venv where npm is there.
@@ -119,17 +118,6 @@ install_others &
 
 target=".[${extra:-all}]"
 # Python compiles what is imported when it is first imported: half of the installation's time would go to what never is.
-pip_install() {
-    .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile "$@"
-}
-
-uv_install() {
-    pip_install uv && .venv/bin/uv pip install --quiet --python .venv/bin/python --editable "$target"
-}
-
-case ${INSTALLER:-pip} in
-    uv) uv_install || { echo "setup: uv could not install the packages; pip does" >&2 && pip_install --editable "$target"; } ;;
-    *) pip_install --editable "$target" ;;
-esac
+.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --editable "$target"
 wait
 touch ".venv/ready$extra"

@@ -327,7 +327,7 @@ def lit(normal: Array, frame: Array, camera: Camera, lamp: Lamp, u: Array) -> tu
 
 
 def lamp_picture(brdf: BRDF, camera: Camera, lamps: Sequence[Lamp], size: int, margin: float) -> Array:
-    """Render a ball under lamps, without their colours, on black; return an image (size, size, B).
+    """Render a ball on black under lamps, whose colours are ignored; return an image (size, size, B).
 
     `margin` is the margin around the ball in radii.
     """

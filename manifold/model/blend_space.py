@@ -358,7 +358,7 @@ class _BestPlace:
         self._X, self._l, self._cross, self._gram = X, length_scale, cross, gram
 
     def place(self, bands: Indices, norm: float) -> tuple[Array, float]:
-        """Return the point (Q,) of least squared residual in some bands, and that residual.
+        """Return the point (Q,) with the smallest squared residual in some bands, and that residual.
 
         `norm` is the target's squared norm there.
         """

@@ -1,4 +1,4 @@
-"""Lays out maps of thousands of materials: landmarks exactly, the other materials among them."""
+"""Lays out maps of thousands of materials: first the landmarks, as on a small map, then the others among them."""
 
 from __future__ import annotations
 

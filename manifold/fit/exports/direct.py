@@ -223,8 +223,8 @@ class _Problem:
     def jacobian(self, x: Array, *, is_exact: bool = True) -> Array:
         """Return the derivatives of the residuals, by forward differences.
 
-        Red, green and blue of a colour are varied at once unless it `is_exact`: each moves its own channel, and the
-        others hardly, but for metals under MaterialX's thin films.
+        Unless `is_exact` is set, red, green and blue of a colour are varied at once. This is accurate because each
+        changes almost only its own channel of the BRDF, except for metals under MaterialX's thin films.
         """
         rows = self._rows(x)
         found = np.zeros((*rows.shape, len(x)))

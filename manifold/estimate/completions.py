@@ -477,7 +477,7 @@ def notes_of(completion: Completion, calibration: Calibration, balls: Sequence[S
 
 
 def _of_balls(balls: Sequence[SeenBall]) -> tuple[list[str], list[str]]:
-    """Return notes on some of the pictures, and those on all; each names its pictures if it began with a name."""
+    """Return the notes on some of the pictures, and the notes on all; notes that named one picture name all theirs."""
     together = notes_together((ball.photograph.path.name, ball.notes) for ball in balls)
     of_some, of_all = list[str](), list[str]()
     for note, count in together.items():

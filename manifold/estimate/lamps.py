@@ -246,7 +246,7 @@ def _are_counted(rows: list[list[str]]) -> bool:
 
 
 def _lamp_columns(path: Path, heads: list[str]) -> tuple[int | None, list[int]]:
-    """Return the column of pictures' names, or None, and those of X, Y, Z and intensities, of a header."""
+    """Return a header's column of pictures' names (None without one) and its columns of X, Y, Z and intensities."""
     words = [head.strip().lower() for head in heads]
     numbers = [*_AXES, *(_INTENSITIES if "r" in words else [w for w in ("intensity",) if w in words])]
     unknown = set(words) - set(numbers) - set(_OF_PICTURE)

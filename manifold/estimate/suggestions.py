@@ -51,7 +51,7 @@ class Deviations:
         return np.asarray((self.at_candidates.T @ wanted) ** 2 / (variance + np.finfo(float).tiny)[:, None])
 
     def after(self, reading: Array, noise: float) -> Deviations:
-        """Return the deviations after a reading, given those before at its directions (H,), and its noise variance."""
+        """Return the deviations after a reading, given its noise variance and the deviations (H,) at its directions."""
         variance = float(reading @ reading)
         if variance == 0.0:
             return self

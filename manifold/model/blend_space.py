@@ -350,8 +350,8 @@ class PlaceSearch:
 class _BestPlace:
     """The search for a point on the map of N materials at X (N, Q), from inner products only.
 
-    Products are those of the materials' paths at K coordinates with the target, (N, K, B), and of the paths with each
-    other, (K, N, N).
+    `cross` (N, K, B) holds the products of the materials' paths at K coordinates with the target, `gram` (K, N, N) the
+    products of the paths with each other.
     """
 
     def __init__(self, X: Array, length_scale: float, cross: Array, gram: Array) -> None:

@@ -366,9 +366,9 @@ def coherence_of(
 def _landmark_balls(
     space: BlendSpace, materials: MaterialCache, bands: Indices, samples: BlendSamples
 ) -> tuple[Callable[[int], Array], Callable[[Array], Array]]:
-    """Return functions that return CIE XYZ of the ball of a material, and of a point, from samples.
+    """Return functions that compute CIE XYZ of the ball of a material, and of a point, from samples.
 
-    Those of thousands of materials would fill the memory.
+    The balls are not stored, because thousands of them would fill the memory.
     """
     lights, axis = panel.judged(), materials.library.bands.select(bands.tolist())
 

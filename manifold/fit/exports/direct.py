@@ -216,7 +216,7 @@ class _Problem:
         return np.concatenate([self._rows(x).ravel(), self._ridge * (x - self._begin)])
 
     def _rows(self, x: Array) -> Array:
-        """Return the relative residuals of the criterion, (R, 3), those of one implementation after the other."""
+        """Return the relative residuals of the criterion, (R, 3), one implementation after the other."""
         rows = self._criterion.residual(self._f_cos(x)) / self._criterion.norm
         return (rows / np.sqrt(len(rows))).reshape(-1, rows.shape[-1])
 

@@ -95,7 +95,7 @@ class Command(TyperCommand):
     def get_help(self, ctx: Any) -> str:
         """Return the help, in which `{manifold.registries.MAPPINGS}` stands for the names in that registry.
 
-        `{manifold.core.defaults.GONIOMETER:.0%}` stands for that default; what follows the colon is its format.
+        `{manifold.core.defaults.GONIOMETER:.0%}` stands for that default, in the format after the colon.
         """
 
         def value(found: re.Match[str]) -> str:

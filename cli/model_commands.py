@@ -315,7 +315,7 @@ def _notes_of_turns(first: str, second: str, angle_rad: float) -> dict[str, str]
 
 
 def parse_latent_dim(text: str) -> int:
-    """Parse a number of dimensions."""
+    """Parse the value of --latent-dim, a whole number of at least 1; `auto` is handled before."""
     if not (text.isascii() and text.isdigit() and int(text) >= 1):
         raise UsageError(f"--latent-dim '{text}': expected a whole number of at least 1, or auto")
     return int(text)

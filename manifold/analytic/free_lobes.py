@@ -51,7 +51,7 @@ class Lobes:
 
     @property
     def shapes(self) -> list[tuple[float, float]]:
-        """Roughness and tail of every normal distribution."""
+        """Roughness and tail (exponent) of every normal distribution."""
         return [(alpha, tail) for alpha in self.roughnesses for tail in self.tails]
 
     def shape_of(self, chosen: Indices) -> Indices:

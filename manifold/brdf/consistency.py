@@ -27,7 +27,7 @@ _STEEPEST_DEG = 75.0  # nearer to the horizon, files hold little that was measur
 _MOST_ALBEDO = 1.2  # 1, and room for calibration and fluorescence (1.02)
 _MOST_ALBEDO_GRAZING = 1.5  # ... and for extrapolation (1.00)
 MOST_NEGATIVE = 0.005
-"""Largest share of negative values of a band or a prediction: 0 in measured files; one in a hundred is seen."""
+"""Largest share of negative values of a band or a prediction. Measured files have none; one in a hundred is visible."""
 
 _MOST_DEPARTURE = 10.0  # of a value from the range of its neighbours, in widths of that range (6.6)
 _MOST_STEP = 1.5  # factor between an albedo and both albedos beside it (1.08)
@@ -296,7 +296,7 @@ def _median_around(values: Array, filled: Mask, i: int, j: int) -> Array:
 
 
 def _neighbour_range(values: Array, filled: Mask) -> tuple[Array, Array]:
-    """Return least and largest of the filled neighbours of values (B, H, W), NaN for fewer than three."""
+    """Return the smallest and the largest filled neighbour of values (B, H, W); NaN for fewer than three."""
     H, W = filled.shape
     values, filled = np.pad(values, ((0, 0), (1, 1), (1, 1))), np.pad(filled, 1)
     for_low, for_high = np.where(filled, values, np.inf), np.where(filled, values, -np.inf)

@@ -76,9 +76,9 @@ def _retro_reflection(brdf: BRDF, theta: Array, phi: Array | float, steepest: fl
 def _without_pits(retro: Array, steepest: float) -> Array:
     """Return the smallest values (..., n) of at least `retro` with bounded ratios between neighbouring nodes.
 
-    A normal distribution with pits, or with cliffs between two nodes of the outgoing grid, makes huge stored values
-    beside small ones, which do not interpolate. Measured materials and GGX have neither, and stay as they are; what
-    is raised only takes a few more samples.
+    If a normal distribution has pits, or cliffs between two nodes of the outgoing grid, huge stored values lie beside
+    small ones, and interpolation between them is wrong. Measured materials and GGX have neither and do not change.
+    Raised values only cause a few more samples.
     """
     with np.errstate(divide="ignore"):
         height = np.log(retro)
@@ -90,11 +90,11 @@ def _without_pits(retro: Array, steepest: float) -> Array:
 
 
 def _without_knees(retro: Array, bend: float, exponent: float, resolution: int) -> Array:
-    """Return the least values (..., n) above `retro` whose logarithm is touched from above by parabolas `bend t^2`.
+    """Return the smallest values (..., n) above `retro` whose logarithm has no valley sharper than `bend t^2`.
 
-    t counts nodes of the outgoing grid at normal incidence. Where a peak ends on a pedestal within a cell, and at other
-    incidences somewhere else, stored values do not interpolate, and the file has a valley beside the peak. This is the
-    closing of mathematical morphology.
+    t counts nodes of the outgoing grid at normal incidence. If a peak ends on a pedestal within a cell, and at other
+    incidences somewhere else, stored values do not interpolate well, and the file has a valley beside the peak. The
+    operation is the closing of mathematical morphology, by a parabola.
     """
     u = np.linspace(0.0, 1.0, retro.shape[-1])
     density = (retro * u * np.sin(u_to_theta(u))) ** exponent

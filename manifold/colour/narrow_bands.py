@@ -170,7 +170,7 @@ def interpolation_errors(bands: Bands) -> tuple[float, float]:
 
 
 def _errors(xyz: Array, spectra: Array) -> tuple[float, float]:
-    """Return median and 90th percentile of CIEDE2000 of colours (n, 3) from those of spectra (n, 31)."""
+    """Return median and 90th percentile of CIEDE2000 between XYZ colours (n, 3) and the colours of spectra (n, 31)."""
     white = to_xyz(np.ones(SPECTRUM.count), SPECTRUM)
     errors = delta_e_2000(xyz, to_xyz(spectra, SPECTRUM), white)
     return float(np.median(errors)), float(np.percentile(errors, 90))

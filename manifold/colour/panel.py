@@ -29,13 +29,13 @@ FITTED = (
 """Lights used for fitting: the studio turned by an angle in degrees, suns at an angle to the view, an overcast sky."""
 
 SUN_DEG = 45.0
-"""Angle between the view and the sun under which highlights are looked at."""
+"""Angle in degrees between the view and the sun in pictures that show highlights."""
 
 FITTED_SUN_PIXELS = 16
 """Pixels across the balls under suns that fits and maps compare."""
 
 STRIDE = 4
-"""One in so many pixels of balls is enough to tell materials apart, and for plausible errors."""
+"""Stride over the pixels of balls that still tells materials apart, and suffices for plausible errors."""
 
 _SUN_PIXELS = 32  # across the ball
 
@@ -92,8 +92,8 @@ class Panel(Picture):
 def panel(names: tuple[str, ...], *lit: int, sun_pixels: int = _SUN_PIXELS) -> Panel:
     """Return a panel of lights by their names, as in `FITTED` and `JUDGED`, cached and read-only.
 
-    `lit` is pixels, rings and spokes of the balls in soft lights, as in `ball_colours.ball`; `sun_pixels` are those
-    across the balls under suns.
+    `lit` holds the numbers of pixels, rings and spokes of the balls in soft lights, see `ball_colours.ball`;
+    `sun_pixels` is the number of pixels across the balls under suns.
     """
     white, world = ball_colours.white_ball(*lit)
     pairs, parts = white[:], list[tuple[int, scipy.sparse.csr_array]]()

@@ -87,8 +87,8 @@ def read_picture(path: Path, is_linear: bool | None = None, *, finds_plateaus: b
 
     Args:
         path: a picture; its format follows from its content.
-        is_linear: whether the values are linear, or encoded for a display, whatever the file says; None to follow the
-            file. It does not change the primaries.
+        is_linear: True if the values are linear, False if they are encoded for a display; this overrides the file.
+            None follows the file. The primaries are always those of the file.
         finds_plateaus: whether to search for saturated pixels below the largest code, as photographs may have.
 
     Raises:

@@ -36,8 +36,8 @@ class Plateau:
     """The saturated pixels of a channel.
 
     Attributes:
-        level: their value, as it is stored.
-        pixels: which pixels they are, shape (H, W).
+        level: their stored value.
+        pixels: mask of these pixels, shape (H, W).
     """
 
     level: float

@@ -196,8 +196,8 @@ class _Slice:
     def __call__(self, place: Array, ratio: Array) -> Array:
         """Return values (n, B) at places (n, 2).
 
-        What exceeds the diffuse level is taken as D F G / (4 cos cos) of microfacets and multiplied by the ratio (n,)
-        of the cosines of the slice to those of the requested directions.
+        The part above the diffuse level is treated as D F G / (4 cos cos) of microfacets: it is multiplied by the
+        ratio (n,) of the cosines of the slice to the cosines of the requested directions.
         """
         values = self._inside(place)
         outside = np.isnan(values).any(axis=1)

@@ -1,7 +1,7 @@
 """Decodes PNG and JPEG pictures, and reads tags of pictures; no other module opens pictures with Pillow.
 
-Pillow recognises pictures by content and starts Ghostscript for EPS files. Therefore it is told the format, which
-follows from the first bytes.
+Pillow recognises pictures by content and starts Ghostscript for EPS files. Therefore this module derives the format
+from the first bytes and passes it to Pillow.
 """
 
 from __future__ import annotations

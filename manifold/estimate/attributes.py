@@ -243,7 +243,7 @@ class Adjusted:
         return ", ".join(each.shown.format(self.reached[each.key]) for each in (*COLOUR, *self.meters))
 
     def reached_by(self, brdf: EvaluableBRDF, asked: Mapping[str, float]) -> Adjusted:
-        """Return a copy with further requested values, and with the attributes of `brdf` as those reached."""
+        """Return a copy with further requested values; the reached values are the attributes of `brdf`."""
         asked = {**self.asked, **asked}
         return replace(self, asked=asked, reached=measured(brdf, asked))
 

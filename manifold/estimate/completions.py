@@ -71,7 +71,7 @@ class NextStep(Enum):
 
 
 class Advice(NamedTuple):
-    """What to do with a completed material, as data and in words; no words if its errors are not known."""
+    """Advice on a completed material: the next step, and a sentence; the sentence is None if its errors are unknown."""
 
     step: NextStep
     words: str | None
@@ -89,7 +89,7 @@ class Completed(Result):
             learn.
         plausibility: physical plausibility of the written file; None without a file.
         left_out_readings: errors of predicting each reading from the others; None without readings, or for many.
-        next_readings: readings to take next, of which `suggested` are the requested number; None if none are needed.
+        next_readings: readings to take next; None if none were requested and the expected errors are small.
         count: number of suggestions that were requested.
         diagnostics: sentences to read before using the file.
         seconds: total time, without reading files.
@@ -282,7 +282,7 @@ class Completed(Result):
 
     @property
     def suggested(self) -> Suggested | None:
-        """The next readings to take, as many as were asked for; None if none were."""
+        """The next readings to take, in the requested number; None if none were requested."""
         return self.next_readings if self.count else None
 
     @property
@@ -477,7 +477,7 @@ def notes_of(completion: Completion, calibration: Calibration, balls: Sequence[S
 
 
 def _of_balls(balls: Sequence[SeenBall]) -> tuple[list[str], list[str]]:
-    """Return notes on some of the pictures, and those on all; each names its pictures if it began with a name."""
+    """Return the notes on some of the pictures, and the notes on all; notes that named one picture name all theirs."""
     together = notes_together((ball.photograph.path.name, ball.notes) for ball in balls)
     of_some, of_all = list[str](), list[str]()
     for note, count in together.items():

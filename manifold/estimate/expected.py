@@ -178,8 +178,9 @@ def typical(values: Array) -> float:
 def _factor(ratios: Array, of_world: float) -> float:
     """Return the factor of plausible errors: the typical ratio (N,) of true errors to them, or a larger one.
 
-    A library that lacks kinds of materials leaves out none of them, and has too small a factor: that of the world
-    counts as `_WORLD` further materials where it is larger. Factors are averaged by their logarithms.
+    If a library lacks kinds of materials, its left-out materials contain none of them, and the factor is too small. If
+    the factor `of_world`, measured on neural fits, is larger, it therefore counts as `_WORLD` further materials.
+    Factors are averaged by their logarithms.
     """
     own = max(typical(ratios), TINY)
     share = _WORLD / (_WORLD + len(ratios))
@@ -189,9 +190,9 @@ def _factor(ratios: Array, of_world: float) -> float:
 def plausible_errors(made: Completion) -> Errors[float]:
     """Return the errors of a completion if its true material were another that explains the observations about as well.
 
-    These materials are those of the library and the coats, each scaled and mixed with a Lambertian, see
+    The other materials are the library's materials and the coats, each scaled and mixed with a Lambertian, see
     `mixtures.Alike`; they are not scaled if only the library determines the brightness. The errors are geometric
-    means over them, averaged over bands or channels; the ball error is the error of lightness.
+    means over these materials, averaged over bands or channels; the ball error is the error of lightness.
     """
     atoms, n = made.atoms, made.atoms.n_grid
     lights, pixels, pairs = _some_pixels(panel.judged())
@@ -221,13 +222,13 @@ def plausible_errors(made: Completion) -> Errors[float]:
 
 
 def _lightness(lights: Panel, differences: Array) -> Array:
-    """Return mean differences of L* over the pixels of balls, from those of cube roots (A, K): (A,)."""
+    """Return mean differences of L* over the pixels of balls, shape (A,), given differences of cube roots (A, K)."""
     return np.asarray(116.0 * np.average(np.abs(differences), axis=1, weights=lights.pixel_weights))
 
 
 @lru_cache(maxsize=4)
 def _some_pixels(lights: Panel) -> tuple[Panel, Indices, Indices]:
-    """Return some pixels of lights, their indices, and those of the direction pairs that light them."""
+    """Return some pixels of lights, their indices, and the indices of the direction pairs that light them."""
     some, pixels = lights.every(panel.STRIDE)
     return some, pixels, np.unique(lights.sums[pixels].indices)
 
@@ -347,7 +348,10 @@ def errors_of(atoms: LibraryAtoms, m: int, on_grid: Array, on_ball: Array) -> Er
 
 
 def _best_factor(light: Array, made: Array) -> float:
-    """Return the factor by which cube roots of pixels, at most white, are nearest to those of others: both (K, 3)."""
+    """Return the factor on pixels `made` (K, 3) that brings their cube roots nearest to those of `light` (K, 3).
+
+    Pixels brighter than white count as white.
+    """
     roots, roots_made = (np.cbrt(np.clip(each, 0.0, 1.0)) for each in (light, made))
     return float(np.sum(roots * roots_made) / max(float(np.sum(roots_made**2)), TINY)) ** 3
 

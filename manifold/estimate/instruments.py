@@ -267,7 +267,7 @@ def _coordinates(wi: Array, wo: Array) -> Array:
 
 
 def _joined(reference: Readings, other: Readings) -> Readings:
-    """Join the readings of both; those of the reference weigh at least as much as all the other's."""
+    """Join the readings of both; the reference's readings together weigh at least as much as the other's."""
     share = max(len(other) / len(reference), 1.0)
     return replace(
         reference,

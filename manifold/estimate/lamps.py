@@ -246,7 +246,7 @@ def _are_counted(rows: list[list[str]]) -> bool:
 
 
 def _lamp_columns(path: Path, heads: list[str]) -> tuple[int | None, list[int]]:
-    """Return the column of pictures' names, or None, and those of X, Y, Z and intensities, of a header."""
+    """Return a header's column of pictures' names (None without one) and its columns of X, Y, Z and intensities."""
     words = [head.strip().lower() for head in heads]
     numbers = [*_AXES, *(_INTENSITIES if "r" in words else [w for w in ("intensity",) if w in words])]
     unknown = set(words) - set(numbers) - set(_OF_PICTURE)
@@ -327,7 +327,7 @@ def lit(normal: Array, frame: Array, camera: Camera, lamp: Lamp, u: Array) -> tu
 
 
 def lamp_picture(brdf: BRDF, camera: Camera, lamps: Sequence[Lamp], size: int, margin: float) -> Array:
-    """Render a ball under lamps, without their colours, on black; return an image (size, size, B).
+    """Render a ball on black under lamps, whose colours are ignored; return an image (size, size, B).
 
     `margin` is the margin around the ball in radii.
     """

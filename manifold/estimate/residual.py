@@ -173,11 +173,10 @@ def _with_own(a: Array, b: Array) -> Array:
 
 
 def _noise(residual: Array, weights: Array, sums: Array, totals: Array, repeatability: float) -> float:
-    """Return the variance of readings' noise as a share of the residual's.
+    """Return the variance of readings' noise as a share of the residual's variance.
 
-    It is that of readings within a cell if that is larger.
-
-    Residual and weights are of readings (B, P), sums and totals of both over the cells (B, C).
+    If the readings within a cell vary more, their variance is used. `residual` and `weights` belong to the readings
+    (B, P); `sums` and `totals` are their sums over the cells (B, C).
     """
     tiny = np.finfo(float).tiny
     total = max(float(totals.sum()), tiny)

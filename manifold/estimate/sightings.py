@@ -426,7 +426,7 @@ def _around(
 
 
 def unlit(sightings: Sequence[Sighting]) -> tuple[str, ...]:
-    """Return a sentence if no lamp shows the highlights; otherwise nothing."""
+    """Return a sentence in a tuple if no lamp shows the highlights; otherwise an empty tuple."""
     most = np.zeros(len(_DIFFERENCES_DEG) - 1)
     for sighting in sightings:
         wi, wo, light = sighting.pairs

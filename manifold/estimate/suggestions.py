@@ -51,7 +51,7 @@ class Deviations:
         return np.asarray((self.at_candidates.T @ wanted) ** 2 / (variance + np.finfo(float).tiny)[:, None])
 
     def after(self, reading: Array, noise: float) -> Deviations:
-        """Return the deviations after a reading, given those before at its directions (H,), and its noise variance."""
+        """Return the deviations after a reading, given its noise variance and the deviations (H,) at its directions."""
         variance = float(reading @ reading)
         if variance == 0.0:
             return self
@@ -63,7 +63,7 @@ class Deviations:
 
 
 def next_readings(unknowns: Sequence[Deviations], count: int) -> Indices:
-    """Return the indices (count,) of the candidates whose readings reduce the expected errors most, chosen greedily.
+    """Return the indices (count,) of the candidates whose readings reduce the uncertainty most, chosen greedily.
 
     Each choice minimises s b^3, where s is the root mean square of the standard deviation over all directions, and b
     its mean over the pixels of a ball. The `unknowns` are independent of each other and have the same D candidates.
@@ -108,7 +108,7 @@ class Suggested:
 def suggest(
     library: LibraryAtoms | Path, count: int, known: Completion | None = None, instrument: str | None = None
 ) -> Suggested:
-    """Return the directions that reduce the expected error most, chosen greedily.
+    """Return the directions whose readings reduce the uncertainty of the completed BRDF most, chosen greedily.
 
     Args:
         library: path of a library of measured materials, or its atoms.
@@ -190,9 +190,9 @@ def _colours(
 ) -> Deviations:
     """Return deviations of bands from the mean over the bands of their material, given the T readings taken.
 
-    Cube roots of atoms are (n + 1, D) at the candidates, (n + 1, P_b) at pairs that light a ball, and (n + 1, T) at the
-    readings; the expected squares of the
-    material's there (D,) and (T,).
+    `at`, `on_ball` and `taken` are cube roots of the atoms at the candidates (n + 1, D), at the direction pairs that
+    light a ball (n + 1, P_b), and at the readings (n + 1, T). `square` (D,) and `taken_square` (T,) are the expected
+    squares of the material's cube roots at the candidates and at the readings.
     """
     n, D = atoms.n_measured, at.shape[1]
     root = 1.0 / np.sqrt(n)

@@ -99,7 +99,7 @@ def _amplitude(task: Task) -> Array:
 def _well_conditioned(task: Task, count: int) -> Indices:
     """Return the directions that tell principal components apart best: pivots of a QR factorisation.
 
-    Source: Nielsen et al. 2015, section 4 (least condition number); here greedily, by Businger & Golub 1965.
+    Sources: Nielsen et al. 2015, section 4 (lowest condition number); Businger & Golub 1965 (the greedy choice).
     """
     atoms = task.at[: task.others.n_measured]
     _, _, pivots = qr((atoms - atoms.mean(axis=0)) * _amplitude(task), pivoting=True, mode="economic")

@@ -297,7 +297,7 @@ def _heading(report: Report) -> list[str]:
 
 
 def _fixed(error: float) -> str:
-    """Format a relative error with three decimals; that of a black material, over nothing, as a power of ten."""
+    """Format a relative error with three decimals, or as a power of ten if it is huge, as for a black material."""
     return f"{error:.3f}" if error < _MANY_DIGITS else f"{error:.0e}"
 
 

@@ -1,7 +1,8 @@
 """Chooses the mapping and the number of dimensions of a manifold by the errors of left-out materials.
 
-The materials are divided into folds. Every candidate is fitted without a fold, locates the fold's materials from
-their data, and is judged by the predictions there. With up to twenty materials every fold holds one (leave-one-out).
+The materials are divided into folds. For every fold, a candidate is fitted without it, locates the fold's materials
+from their data, and predicts them; the errors of these predictions are compared. With up to twenty materials every
+fold holds one (leave-one-out).
 """
 
 from __future__ import annotations

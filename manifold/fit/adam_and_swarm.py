@@ -120,7 +120,7 @@ def _stage(
 
 
 def _bounds(layout: ParameterLayout) -> tuple[Array, Array]:
-    """Return the ends of the ranges (K,), those of colours within [0, 1]."""
+    """Return the lower and upper ends of the ranges, each (K,); ranges of colours are limited to [0, 1]."""
     low = np.where(layout.is_per_band, np.maximum(layout.minimum, 0.0), layout.minimum)
     return low, np.where(layout.is_per_band, np.minimum(layout.maximum, 1.0), layout.maximum)
 

@@ -1,8 +1,8 @@
 """Converts angles, or names of geometries, to the directions of readings.
 
 Names are `45as-15`, `r15as_45`, `45as25az90`, `45asMinus15`, `45/0`; `as15`, `-15°`, `15d`, `-15DP`.
-DP (double path) marks the mean of readings from both sides, which for isotropic specimens equals the reading from one
-side, SP (single path).
+DP (double path) marks the mean of readings from both sides; for isotropic specimens it equals the reading from one
+side, which SP (single path) marks.
 """
 
 from __future__ import annotations

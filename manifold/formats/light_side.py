@@ -24,7 +24,8 @@ def hidden(wi: Array, wo: Array, values: Array) -> Mask:
     """Return a mask (P,) of the rows that are zero only because the receiver blocks the light.
 
     The receiver is assumed to block the light if, at each incidence, all readings within 25 degrees of the light are
-    zero in all bands, but most readings up to 45 degrees are not. For a mirror, those would be zero as well.
+    zero in all bands, but most readings up to 45 degrees are not. For a mirror, the readings up to 45 degrees would be
+    zero as well.
     """
     towards_light = np.einsum("pi,pi->p", wi, wo)
     near = np.flatnonzero(towards_light > _BESIDE)

@@ -75,7 +75,7 @@ class Assumption(str):
 
 
 def assumptions_first(notes: Iterable[str]) -> tuple[str, ...]:
-    """Return the notes, each once, those that are an `Assumption` first."""
+    """Return every note once, notes of the class `Assumption` first."""
     return tuple(sorted(dict.fromkeys(notes), key=lambda note: not isinstance(note, Assumption)))
 
 
@@ -108,7 +108,7 @@ class Readings:
         scatter: relative standard deviation of the cube roots of repeated readings, shape (P,); 0 for pairs without
             repetition.
         colour_error: expected CIEDE2000 of spectra that were estimated from fewer bands; 0 for measured spectra.
-        estimated_from: number of those bands; None for measured spectra.
+        estimated_from: number of bands from which spectra were estimated; None for measured spectra.
         notes: ambiguities of the file and how they were read, one sentence each.
         texture: texture data of the instrument (graininess, sparkle, flake images) by name, as plain values.
         gloss: gloss units of a gloss meter (ISO 2813) by its angle in degrees: 20, 60 or 85.

@@ -332,7 +332,7 @@ def bright_bands(wi: Array, wo: Array, values: Array, fewest: int = 2, most: flo
 
 
 def saturated_bands(wi: Array, wo: Array, values: Array) -> Mask:
-    """Return a mask (B,) of bands that are too bright even for factors, if those are few."""
+    """Return a mask (B,) of bands that are too bright even for factors; it is empty if they are a quarter or more."""
     is_saturated = bright_bands(wi, wo, values / np.pi, most=_PERCENT_FROM)
     if is_saturated.sum() >= max(_MANY_BANDS * len(is_saturated), 1.0):
         is_saturated[:] = False

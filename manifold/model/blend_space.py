@@ -350,15 +350,15 @@ class PlaceSearch:
 class _BestPlace:
     """The search for a point on the map of N materials at X (N, Q), from inner products only.
 
-    Products are those of the materials' paths at K coordinates with the target, (N, K, B), and of the paths with each
-    other, (K, N, N).
+    `cross` (N, K, B) holds the products of the materials' paths at K coordinates with the target, `gram` (K, N, N) the
+    products of the paths with each other.
     """
 
     def __init__(self, X: Array, length_scale: float, cross: Array, gram: Array) -> None:
         self._X, self._l, self._cross, self._gram = X, length_scale, cross, gram
 
     def place(self, bands: Indices, norm: float) -> tuple[Array, float]:
-        """Return the point (Q,) of least squared residual in some bands, and that residual.
+        """Return the point (Q,) with the smallest squared residual in some bands, and that residual.
 
         `norm` is the target's squared norm there.
         """

@@ -117,7 +117,7 @@ class ExpectedError:
         return expected if residual is not None else np.maximum(expected, self._floor(nearest))
 
     def _floor(self, nearest: Array) -> Array:
-        """Return the least expected error at points so far from all materials (M,), shape (M,)."""
+        """Return the lower bound of the expected error, shape (M,), at distances (M,) from the nearest material."""
         mean, most = np.exp(self.log_errors.mean()), np.exp(self.log_errors.max())
         return np.asarray(np.minimum(mean * (nearest / widest_gap(self.X)) ** 2, max(most, mean)))
 
@@ -366,9 +366,9 @@ def coherence_of(
 def _landmark_balls(
     space: BlendSpace, materials: MaterialCache, bands: Indices, samples: BlendSamples
 ) -> tuple[Callable[[int], Array], Callable[[Array], Array]]:
-    """Return functions that return CIE XYZ of the ball of a material, and of a point, from samples.
+    """Return functions that compute CIE XYZ of the ball of a material, and of a point, from samples.
 
-    Those of thousands of materials would fill the memory.
+    The balls are not stored, because thousands of them would fill the memory.
     """
     lights, axis = panel.judged(), materials.library.bands.select(bands.tolist())
 
@@ -393,7 +393,7 @@ def _blended(
 ) -> Combination:
     """Return the prediction at x (Q,) without material i, in colours blended from the others.
 
-    On a map by landmarks only samples are at hand: others are taken where their colour paths have their own colours.
+    On a map with landmarks, only samples are available, so each material contributes its colour path at its own colour.
     """
     u = space.weights_without(i, x)
     if samples is None:

@@ -1,4 +1,4 @@
-"""Lays out maps of thousands of materials: landmarks exactly, the other materials among them."""
+"""Lays out maps of thousands of materials: first the landmarks, as on a small map, then the others among them."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def landmark_layout(
 
 
 def _similar(to_landmarks: Array, count: int) -> Indices:
-    """Return the samples (N, count) whose distances from the landmarks, (N, M), are most like those of each."""
+    """Return the `count` others (N, count) of each sample with the most similar distances from the landmarks (N, M)."""
     found = scipy.spatial.KDTree(to_landmarks).query(to_landmarks, count + 1)[1]
     is_other = found != np.arange(len(found))[:, None]
     is_other[is_other.all(axis=1), -1] = False  # copies of the sample came first

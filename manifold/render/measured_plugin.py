@@ -49,9 +49,9 @@ def load_bsdf(mi: Any, content: Mapping[str, Any] | Any) -> Any:
 
 
 def folds(mi: Any, bsdf: Any) -> bool:
-    """Return whether an isotropic BSDF has exactly the same values at direction pairs and after half a turn.
+    """Return whether an isotropic BSDF has exactly the same values if both directions are rotated by 180 degrees.
 
-    Otherwise they differ by rounding, because the azimuths differ.
+    Otherwise the values differ by rounding, because the azimuths differ.
     """
     rng = np.random.default_rng(0)
     cos, azimuth = rng.uniform(0.1, 1.0, (2, _PROBES)), rng.uniform(-np.pi, np.pi, (2, _PROBES))

@@ -62,7 +62,7 @@ class Shape:
 
     @property
     def width(self) -> int:
-        """Texels in a row."""
+        """Number of texels in a row."""
         return max(self.nodes, self.columns, self.values)
 
     def _rows_of(self, columns: int, rows: int) -> int:
@@ -80,7 +80,7 @@ class Shape:
 
     @property
     def height(self) -> int:
-        """Rows of texels."""
+        """Number of rows of texels."""
         return self.normal_row + 1
 
     def block(self, t: int, columns: int, rows: int, first_row: int) -> tuple[slice, slice]:

@@ -181,7 +181,7 @@ class _How(NamedTuple):
 
 
 class _Measured(NamedTuple):
-    """Rows of some settings; times are relative to that of a reference, and `scaled` is as in `Chart`."""
+    """Rows of some settings; times are relative to the reference time, and `scaled` is as in `Chart`."""
 
     rows: list[ChartRow]
     reference_seconds: float

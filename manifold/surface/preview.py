@@ -80,9 +80,9 @@ def _drawn(
     brdf: EvaluableBRDF, textures: Textures, flakes: DrawnFlakes | None, rows: Array, columns: Array,
     lit: Callable[[EvaluableBRDF, Array, Mask], Array],
 ) -> Array:  # fmt: skip
-    """Return the radiance of points of the textures, rows and columns from 0 to 1, (..., 3).
+    """Return the radiance (..., 3) at points of the textures, whose rows and columns run from 0 to 1.
 
-    `lit` is that of facets, by slopes of all points, of some of them.
+    `lit` returns the radiance of facets from a BRDF, the slopes of all points, and a mask of the points to compute.
     """
     size = len(textures.albedo)
     at = tuple(np.minimum((each * size).astype(int), size - 1) for each in (rows, columns))

@@ -24,7 +24,7 @@ _CELL_PX = 96  # of the grid
 _OVERLAP_PX = 32  # of neighbouring patches
 _JITTER = 1.0 / 6.0  # of a cell: marks of patches do not stand in rows
 CANDIDATES = 64
-"""Random places, of which the best replaces dust, or becomes a patch: more repeat marks of the sample."""
+"""Number of random places among which the best replaces dust or becomes a patch; with more, marks repeat visibly."""
 
 _SMOOTH_PX = 1.0  # standard deviation of the smoothing of differences along which seams run
 _USE = 1.0 / 16.0  # weight of a place's use against the difference across a seam
@@ -217,7 +217,7 @@ def _seams(before: Array, after: Array, *, is_closed: bool = False) -> Indices:
 
 
 def _cheapest(costs: Array) -> Indices:
-    """Return the path through K tables of costs (K, N, M) of least cost, one column per line, by steps of at most 1."""
+    """Return the cheapest path through each of K tables of costs (K, N, M): one column per line, steps of at most 1."""
     total = costs.copy()
     for line in range(1, costs.shape[1]):
         padded = np.pad(total[:, line - 1], ((0, 0), (1, 1)), constant_values=np.inf)

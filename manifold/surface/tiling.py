@@ -130,7 +130,7 @@ def uncropped(albedo: Array) -> tuple[slice, slice]:
 
 
 def dust_in(logs: Array) -> Mask:
-    """Return a mask (H, W) of small spots of a colour that the sample has nowhere else, from logs of colours (H, W, 3).
+    """Return a mask (H, W) of small spots whose colour is rare on the specimen, given logarithms of colours (H, W, 3).
 
     A colour that occurs in three spots or more is kept as part of the specimen; the frequency of rarer spots is
     unknown. The mask includes the two pixels around each spot.

@@ -216,15 +216,15 @@ class _Problem:
         return np.concatenate([self._rows(x).ravel(), self._ridge * (x - self._begin)])
 
     def _rows(self, x: Array) -> Array:
-        """Return the relative residuals of the criterion, (R, 3), those of one implementation after the other."""
+        """Return the relative residuals of the criterion, (R, 3), one implementation after the other."""
         rows = self._criterion.residual(self._f_cos(x)) / self._criterion.norm
         return (rows / np.sqrt(len(rows))).reshape(-1, rows.shape[-1])
 
     def jacobian(self, x: Array, *, is_exact: bool = True) -> Array:
         """Return the derivatives of the residuals, by forward differences.
 
-        Red, green and blue of a colour are varied at once unless it `is_exact`: each moves its own channel, and the
-        others hardly, but for metals under MaterialX's thin films.
+        Unless `is_exact` is set, red, green and blue of a colour are varied at once. This is accurate because each
+        changes almost only its own channel of the BRDF, except for metals under MaterialX's thin films.
         """
         rows = self._rows(x)
         found = np.zeros((*rows.shape, len(x)))

@@ -413,7 +413,7 @@ class Evaluation:
         self, cells: Any, grid: Family, slices: Slices, u: Any, v: Any, bands: Any,
         scale: Any, cosines: Any, active: Any,
     ) -> Any:  # fmt: skip
-        """Return mapped values of one material at the warped point (u, v): a spectrum, or those of its sample bands."""
+        """Return mapped values of one material at the warped point (u, v): all bands, or its sample bands only."""
         mi, dr = self._mi, self._dr
         j, tx = self._warps.cell(u, grid.columns)
         i, ty = self._warps.cell(v, grid.rows)

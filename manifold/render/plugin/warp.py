@@ -15,7 +15,7 @@ _FLAT = 1e-4  # relative slope under which a linear density is treated as consta
 
 @dataclass(frozen=True, eq=False)
 class Family:
-    """One warp per lane: the positions of its cells and marginal, and its numbers of rows and columns."""
+    """One warp per lane: where its cells and its marginal begin in memory, and its numbers of rows and columns."""
 
     cells: Any
     marginals: Any

@@ -160,7 +160,7 @@ def _material(props: Any, origin: str) -> SceneMaterial:
 
 
 def _append(mi: Any, state: Any, content: Mapping[str, Any]) -> int:
-    """Add a plugin and those within it to a state; the index of its node."""
+    """Add a plugin, with the plugins within it, to a state; return the index of its node."""
     added = mi.parser.parse_dict(mi.parser.ParserConfig(mi.variant()), dict(content))
     first = len(state.nodes)
     for node in added.nodes:

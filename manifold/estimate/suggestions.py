@@ -191,8 +191,7 @@ def _colours(
     """Return deviations of bands from the mean over the bands of their material, given the T readings taken.
 
     Cube roots of atoms are (n + 1, D) at the candidates, (n + 1, P_b) at pairs that light a ball, and (n + 1, T) at the
-    readings; the expected squares of the
-    material's there (D,) and (T,).
+    readings. The expected squares of the material's cube roots are (D,) at the candidates and (T,) at the readings.
     """
     n, D = atoms.n_measured, at.shape[1]
     root = 1.0 / np.sqrt(n)

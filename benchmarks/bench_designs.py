@@ -5,7 +5,7 @@
 NEURAL holds published neural fits (`neural_fits.py`), of which those of MERL materials take part. Every K-th is left
 out and completed from the others, from 8 and from 16 exact readings. Directions are those that `--suggest` names
 before any reading; those that it names in fours, each time after the readings before; those of the lowest condition
-number that a search finds (Nielsen et al. 2015, for each number of readings anew); pivots of a QR factorisation; and
+number that a search for each number of readings finds (Nielsen et al. 2015); pivots of a QR factorisation; and
 five random draws (medians over the draws, and the range of their medians or means). Errors are the ball error, and
 the mean PSNR in dB of the ball's five pictures in linear sRGB between 0 and 1, as published designs are judged. The
 library, the renderings and the split are not those of published studies.
@@ -38,10 +38,8 @@ from manifold.evaluate.readings import METHODS, Task
 COUNTS = (8, 16)
 STEP = 4  # readings between two suggestions
 DRAWS = 5
-STARTS, EXCHANGES = (
-    6,
-    400,
-)  # of a search for the lowest condition number: random starts, exchanges tried from each
+STARTS, EXCHANGES = 6, 400
+"""Random starts of a search for the lowest condition number, and exchanges tried from each."""
 METHODS_COMPARED = {
     "completion": PREDICT["completion"],
     "ridge": PREDICT["ridge"],
@@ -106,7 +104,7 @@ DESIGNS: dict[str, Callable[[Task, int], Indices]] = {
     "pivots": METHODS["ridge"].order,
     **{f"random {draw}": random(draw) for draw in range(DRAWS)},
 }
-"""Directions, best first; of `condition`, those of each number of readings are sought anew."""
+"""Directions, best first. Those of `condition` are searched for each number of readings."""
 
 
 def psnr(atoms: LibraryAtoms, m: int, on_ball: Array) -> float:

@@ -4,7 +4,7 @@
 
 The letter: raw values without weights at 90 x 90 x 180 direction pairs, zeros where nothing was measured, s^2 = 1,
 mu = 1e-4, l = 1, direct local search from the principal components in the order of the materials, negative values kept.
-Each material is left out; the paper has no rule for its latent, which here is that of the least eq. 22.
+Each material is left out; the paper has no rule for its latent, which here is the one of lowest eq. 22.
 
 Each difference is a fit to all materials with that choice changed, and the rest as in the letter; the grids change
 how theta_h is spaced and where nodes lie in their cells, which the paper does not say. Errors are medians over the
@@ -88,7 +88,7 @@ def row(variant: Variant, S: Array, names: list[str]) -> dict[str, object]:
 
 
 def slack(model: GPLVM, S: Array) -> float:
-    """The least quotient of both sides of eq. 15 over a grid of latents."""
+    """The smallest quotient of both sides of eq. 15 over a grid of latents."""
     X = model.embedding_
     low, high = X.min(axis=0), X.max(axis=0)
     axes = [np.linspace(a, b, 41) for a, b in zip(low, high, strict=True)]
@@ -97,7 +97,7 @@ def slack(model: GPLVM, S: Array) -> float:
 
 
 def left_out(letter: Variant, materials: list[MeasuredBRDF]) -> dict[str, dict[str, object]]:
-    """Errors of every material, left out and located by the least eq. 22.
+    """Errors of every material, left out and located by the lowest eq. 22.
 
     From the principal components, median and 90th percentile; then both over all starts, smallest and largest.
     """
@@ -121,7 +121,7 @@ def left_out(letter: Variant, materials: list[MeasuredBRDF]) -> dict[str, dict[s
 
 
 def located(letter: Variant, start: int) -> Array:
-    """Weights (N, N) of the materials in predictions of every left-out material, at the latent of least eq. 22."""
+    """Weights (N, N) of the materials in predictions of every left-out material, at the latent of lowest eq. 22."""
     S, every = letter.gram.S, np.arange(len(letter.gram.S))
     spread = np.zeros_like(S)
     for i in every:

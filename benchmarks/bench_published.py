@@ -117,7 +117,7 @@ def main() -> None:
 
 
 def ranges(rows: dict[str, dict[str, Array]]) -> dict[str, dict[str, object]]:
-    """Medians of the map, and of every rule the least and the largest over starts."""
+    """Medians of the map, and of every rule the smallest and the largest over starts."""
     key = {
         "ball": "ball",
         "ball ITP": "ball_itp",

@@ -490,8 +490,8 @@ def _highlight(
 def with_gloss(brdf: BRDF, gloss: GlossUnits) -> RecoatedBRDF:
     """Return a material with another coat, which gives it other gloss units (> 0) by angle in degrees.
 
-    Its colour at 45/0 does not change. The coat that is replaced is the coat over a Lambertian base with the
-    material's gloss at 20, 60 and 85 degrees.
+    Its colour at 45/0 changes only if the light of the new coat, or a base that reflects all light, does not allow it.
+    The coat that is replaced is the coat over a Lambertian base with the material's gloss at 20, 60 and 85 degrees.
     """
     bands, meters = brdf.bands, [gloss_meter(angle) for angle in gloss]
     old, _ = coat_of(lab_of(brdf), gloss_units(brdf, GLOSS_ANGLES_DEG), bands)

@@ -121,9 +121,8 @@ def _in_all_bands(data: Data, training: Indices, weights: Array, mapping: ValueM
     return Combination(mapping, spread, is_clipped=False)
 
 
-NUMBERS_PER_BAND = (
-    30  # weights of a reconstruction and indices of their atoms: 90 in RGB, the median of 20 files
-)
+NUMBERS_PER_BAND = 30
+"""Weights of a reconstruction and indices of their atoms: in RGB 90, the median of 20 files."""
 
 
 def few_numbers(B: int) -> int:

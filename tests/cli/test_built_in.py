@@ -92,24 +92,26 @@ def test_info_shows_source_licence_citation_and_checksums(run, tmp_path):
         assert checksum in out
 
 
-def test_info_of_a_model_opens_the_library_of_the_model(run, tmp_path):
+@pytest.fixture
+def own_files(tmp_path):
+    """Return the files of own.zarr, whose model is own.h5."""
     files = [tmp_path / f"{name}_rgb.bsdf" for name in ("paper_white", "paper_blue", "cardboard")]
     for file in files:
         mf.write_bsdf(file, Library("built-in").read(file.stem.removesuffix("_rgb")))
     mf.import_files(tmp_path / "own.zarr", files)
     mf.Manifold.fit(tmp_path / "own.zarr", calibrate=False).save(tmp_path / "own.h5")
+    return files
+
+
+@pytest.mark.usefixtures("own_files")
+def test_info_of_a_model_opens_the_library_of_the_model(run, tmp_path):
     status, out, err = run("info", "own.h5", cwd=tmp_path)
     assert (status, err) == (0, "")
     assert "own.zarr" in out
 
 
-def test_a_given_model_is_used_with_its_own_library(run, tmp_path):
-    files = [tmp_path / f"{name}_rgb.bsdf" for name in ("paper_white", "paper_blue", "cardboard")]
-    for file in files:
-        mf.write_bsdf(file, Library("built-in").read(file.stem.removesuffix("_rgb")))
-    mf.import_files(tmp_path / "own.zarr", files)
-    mf.import_files(tmp_path / "library.zarr", files[:1])
-    mf.Manifold.fit(tmp_path / "own.zarr", calibrate=False).save(tmp_path / "own.h5")
+def test_a_given_model_is_used_with_its_own_library(run, tmp_path, own_files):
+    mf.import_files(tmp_path / "library.zarr", own_files[:1])
     status, out, _ = run("find", "--lab", "60,0,0", "--model", "own.h5", cwd=tmp_path)
     assert status == 0
     assert "cardboard" in out

@@ -7,13 +7,17 @@ import re
 import subprocess
 import sys
 import zipfile
+from itertools import combinations
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from helpers.paths import REPOSITORY
 
 sys.path.insert(0, str(REPOSITORY / "benchmarks"))
 sys.path.insert(0, str(REPOSITORY / "docs"))
 
+import bench_designs
 import bench_lamps
 import evidence
 import figures
@@ -47,20 +51,23 @@ def test_the_code_of_a_result_is_all_that_it_imports():
     assert "manifold/gp/likelihood.py" in names  # imported by gplvm
 
 
-def test_a_changed_loop_changes_the_code_of_every_result(tmp_path, monkeypatch):
-    (tmp_path / "cpp").mkdir()
-    (tmp_path / "benchmarks").mkdir()
+def test_a_change_of_a_loop_of_its_build_or_of_a_file_of_the_package_changes_the_code(tmp_path, monkeypatch):
+    for folder in ("cpp", "benchmarks", "manifold/data"):
+        (tmp_path / folder).mkdir(parents=True)
     (tmp_path / "benchmarks" / "bench.py").write_text("import beside\n")
     (tmp_path / "benchmarks" / "beside.py").write_text("x = 1\n")
     monkeypatch.setattr(evidence, "REPOSITORY", tmp_path)
     evidence._imported.cache_clear()
     result = evidence.Result("bench.py FILES")
     hashes = []
-    for file, text in (("cpp/a.cpp", "int x;"), ("cpp/a.cpp", "int y;"), ("benchmarks/beside.py", "x = 2\n")):
+    for file, text in (
+        ("cpp/a.cpp", "int x;"), ("cpp/a.cpp", "int y;"), ("benchmarks/beside.py", "x = 2\n"),
+        ("setup.py", "flags = ['-O2']\n"), ("setup.py", "flags = ['-O3']\n"), ("manifold/data/built_in.json", "{}"),
+    ):  # fmt: skip
         (tmp_path / file).write_text(text)
         hashes.append(result.code_hash)
     evidence._imported.cache_clear()
-    assert len(set(hashes)) == 3
+    assert len(set(hashes)) == 6
 
 
 STAND_IN = """
@@ -164,6 +171,7 @@ def test_the_code_of_a_result_includes_what_a_registry_names_and_files_of_the_pa
         path.name for path in evidence.closure([evidence.REPOSITORY / "manifold" / "page" / "commands.py"])
     }
     assert "renders.py" in page  # named by "manifold.pictures.renders:render"
+    assert evidence.REPOSITORY / "cli" / "terminal.py" in evidence.closure([REPOSITORY / "cli" / "main.py"])
     beside = {path.name for path in evidence.RESULTS["counts"].files_beside}
     assert {"built_in.zip", "built_in.h5"} <= beside
     assert not {path for path in beside if path.endswith((".py", ".so"))}
@@ -200,6 +208,26 @@ def test_refused_pictures_count_as_if_their_lamps_were_given():
     assert whole["sun, card"]["3"] == [3.0, 1.0]
     with pytest.raises(ValueError, match="although the lamps are given"):
         bench_lamps.with_refused([{}], ["sun"])
+
+
+def test_a_design_has_the_lowest_condition_number_of_all(rng):
+    """Of few candidates, all designs are tried; components are those of a singular value decomposition."""
+    n, on_grid, candidates, count = 8, 60, 11, 4
+    cosines, theta = rng.uniform(0.1, 1.0, on_grid), rng.uniform(0.1, 1.5, (2, candidates))
+    roots, at = rng.uniform(0.05, 0.4, (n, on_grid)), rng.uniform(0.05, 0.4, (n, candidates))
+    wi, wo = (np.stack([np.sin(t), 0.0 * t, np.cos(t)], axis=1) for t in theta)
+    others = SimpleNamespace(
+        n_measured=n, n_grid=on_grid, directions=roots, grid=SimpleNamespace(cosines=cosines)
+    )
+    chosen = bench_designs.lowest_condition(SimpleNamespace(others=others, at=at, wi=wi, wo=wo), count)
+    logs, logs_at = (
+        np.log(table**3 * weight + 1e-3)
+        for table, weight in ((roots, cosines), (at, np.cos(theta).prod(axis=0)))
+    )
+    directions = np.linalg.svd(logs - logs.mean(axis=0))[0][:, : n - 1]
+    components = (logs_at - logs_at.mean(axis=0)).T @ directions
+    designs = combinations(range(candidates), count)
+    assert tuple(sorted(chosen)) == min(designs, key=lambda design: np.linalg.cond(components[list(design)]))
 
 
 DATA_WORDS = {*run_all.MEASURED, *run_all.MADE_OF, "CORPUS", "CORPUS_LIBRARY", "CHART"}

@@ -42,10 +42,9 @@ def ridge_of_nielsen(task: Task, chosen: Indices) -> Predicted:
     n = others.n_measured
     roots = others.directions[:n, : others.n_grid], task.at[:n, chosen], others.ball[:n]
     on_grid, at_readings, on_ball = (each.T**3 for each in roots)
-    cosines = others.grid.cosines, Pairs(read.wi, read.wo).cosines, lights.cosines
-    samples = on_grid, at_readings, np.vstack([on_grid, on_ball])
-    everywhere = np.concatenate([cosines[0], cosines[2]])
-    f = ridge_on_components(samples, (*cosines[:2], everywhere), read.values, LOGARITHMS)
+    cosines = Pairs(read.wi, read.wo).cosines, np.concatenate([others.grid.cosines, lights.cosines])
+    samples = at_readings, np.vstack([on_grid, on_ball])
+    f = ridge_on_components(samples, cosines, read.values, LOGARITHMS)
     return f[: len(on_grid)], f[len(on_grid) :]
 
 

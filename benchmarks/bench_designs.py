@@ -67,18 +67,11 @@ def lowest_condition(task: Task, count: int) -> Indices:
     From each random start, single directions are exchanged at random, and an exchange that lowers the condition number
     is kept. Source: Nielsen et al. 2015, section 4, who follow the gradient from random starts.
     """
-    n, others = task.others.n_measured, task.others
-    on_grid, at = (
-        LOGARITHMS.forward(roots.T**3 * np.maximum(cosines, 1e-3)[:, None])
-        for roots, cosines in (
-            (others.directions[:n, : others.n_grid], others.grid.cosines),
-            (task.at[:n], cosine_weight(task.wi, task.wo)),
-        )
-    )
-    on_grid, at = (each - each.mean(axis=1, keepdims=True) for each in (on_grid, at))
-    _, vectors = np.linalg.eigh(on_grid.T @ on_grid)
-    scores = at @ vectors[:, 1:]
-    inner, rng = scores @ scores.T, np.random.default_rng(0)
+    amplitude = np.maximum(cosine_weight(task.wi, task.wo), 1e-3)
+    logs = LOGARITHMS.forward(task.at[: task.others.n_measured].T ** 3 * amplitude[:, None])
+    logs -= logs.mean(axis=1, keepdims=True)
+    # The scores of all principal components have the same inner products as the centred samples.
+    inner, rng = logs @ logs.T, np.random.default_rng(0)
 
     def condition(chosen: Indices) -> float:
         values = np.linalg.eigvalsh(inner[np.ix_(chosen, chosen)])
@@ -86,11 +79,11 @@ def lowest_condition(task: Task, count: int) -> Indices:
 
     ends: list[tuple[float, Indices]] = []
     for _ in range(STARTS):
-        chosen = rng.choice(len(at), count, replace=False)
+        chosen = rng.choice(len(inner), count, replace=False)
         lowest = condition(chosen)
         for _ in range(EXCHANGES):
             tried = chosen.copy()
-            tried[rng.integers(count)] = rng.choice(np.setdiff1d(np.arange(len(at)), chosen))
+            tried[rng.integers(count)] = rng.choice(np.setdiff1d(np.arange(len(inner)), chosen))
             if (found := condition(tried)) < lowest:
                 chosen, lowest = tried, found
         ends.append((lowest, chosen))

@@ -19,13 +19,12 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import values_at
 from manifold.core.directions import half_vector
-from manifold.core.pairs import Pairs, RusinkiewiczGrid
+from manifold.core.pairs import Pairs
 from manifold.core.records import Array, Bands
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.principled import fit_bsdf
 
 _EPSILON = 1e-3  # of the logarithm, in 1/sr, as Nielsen et al.
-_STRIDE = 6  # one in so many pairs of the default grid has a part in the principal components
 _ROUGHNESS = np.geomspace(0.02, 1.0, 40)  # of the fitted lobe
 _REWEIGHTED = 8  # rounds of the fit of cube roots
 _F0 = 0.04  # reflectance of a dielectric; the strength of the lobe is free
@@ -68,12 +67,12 @@ def ridge_on_components(
 ) -> Array:
     """Principal components of mapped values, coefficients by ridge regression, band by band.
 
-    The weight of the coefficients has the least error of left-out readings, over all bands; Nielsen et al. chose it so
-    over MERL. Their reference, the median of the samples, cancels when the mean of the samples is subtracted.
+    All components take part, so they need not be computed: the centred samples themselves give the same f. The weight
+    of the coefficients has the lowest error of left-out readings, over all bands; Nielsen et al. chose it so over MERL.
+    Their reference, the median of the samples, cancels when the mean of the samples is subtracted.
 
     Args:
-        samples: values of single bands of the library, (P, n): at the pairs of the components, of the readings, and
-            where f is predicted.
+        samples: values of single bands of the library, (P, n): at the pairs of the readings, and where f is predicted.
         cosines: products of both cosines at these pairs, each (P,).
         values: readings (R, B), in 1/sr.
         mapping: `LOGARITHMS` for the published method.
@@ -84,24 +83,21 @@ def ridge_on_components(
     amplitudes = [np.maximum(each, 1e-3)[:, None] for each in cosines]
     mapped = [mapping.forward(f * a) for f, a in zip(samples, amplitudes, strict=True)]
     means = [each.mean(axis=1, keepdims=True) for each in mapped]
-    of_grid = mapped[0] - means[0]
-    _, vectors = np.linalg.eigh(of_grid.T @ of_grid)
-    vectors = vectors[:, 1:]  # centred samples span one dimension less
-    _, read, judged = [(each - mean) @ vectors for each, mean in zip(mapped, means, strict=True)]
-    y = mapping.forward(np.maximum(values, 0.0) * amplitudes[1]) - means[1]
+    read, judged = (each - mean for each, mean in zip(mapped, means, strict=True))
+    y = mapping.forward(np.maximum(values, 0.0) * amplitudes[0]) - means[0]
     inner = read @ read.T
     solved = [np.linalg.inv(inner + weight * np.eye(len(inner))) for weight in mapping.weights]
     # The residual of a left-out reading k is (A^-1 y)_k / (A^-1)_kk, A = X X^T + weight.
     left_out = [np.sum((inverse @ y / np.diag(inverse)[:, None]) ** 2) for inverse in solved]
-    coefficients = read.T @ solved[int(np.argmin(left_out))] @ y
-    return mapping.inverse(judged @ coefficients + means[2]) / amplitudes[2]
+    weights = read.T @ solved[int(np.argmin(left_out))] @ y
+    return mapping.inverse(judged @ weights + means[1]) / amplitudes[1]
 
 
 def _pca_ridge(mapping: RidgeMapping) -> Callable[[Problem], Array]:
     """Ridge regression with the weight by leave-one-out over the readings."""
 
     def complete(problem: Problem) -> Array:
-        places = [RusinkiewiczGrid.named("default").pairs(_STRIDE), problem.read, problem.judged]
+        places = problem.read, problem.judged
         samples, cosines = [problem.samples(pairs) for pairs in places], [pairs.cosines for pairs in places]
         return ridge_on_components(samples, cosines, problem.values, mapping)
 

@@ -126,7 +126,7 @@ def suggest(
 
 
 def directions_left(count: int, readings: Readings | None, instrument: str | None) -> tuple[Array, Array]:
-    """Return directions wi (D, 3), wo (D, 3) that were not yet measured: an instrument's, or by default `all_directions`."""
+    """Return directions wi and wo (D, 3) that were not yet measured, of an instrument or of `all_directions`."""
     wi, wo = all_directions() if instrument is None else DIRECTIONS[instrument]()
     total, of = len(wi), f" of {instrument}" if instrument else ""
     if readings is not None:

@@ -304,7 +304,7 @@ def with_luminance(file: BsdfFile, cells: list[Cells] | None = None) -> BsdfFile
     """Return the file with the field `luminance`, the density by which renderers sample the file.
 
     If the outgoing grid is warped by the visible normals, as in measured files, the density is the luminance of
-    `spectra`. `cells` holds the cells of the slices; None computes them.
+    `spectra`. `cells` holds the cells of every slice of the outgoing grid; None computes them.
     """
     density = np.maximum(luminance_of(np.moveaxis(file.spectra, 2, -1), file.bands), 0.0)  # [P, T, H, W]
     if not file.jacobian:

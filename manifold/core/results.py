@@ -116,7 +116,7 @@ class Result:
 
 
 def placed(columns: Columns, others: Columns, *, before: str) -> Columns:
-    """Return columns with other columns inserted before the column with a title."""
+    """Return columns with other columns inserted before the column whose title is `before`."""
     titles = list(columns)
     first = titles[: titles.index(before)]
     return {title: columns[title] for title in first} | others | columns

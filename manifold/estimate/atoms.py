@@ -180,7 +180,7 @@ class LibraryAtoms:
 
     @property
     def n_measured(self) -> int:
-        """Return the number of atoms, the first ones, that belong to materials of the library."""
+        """Return the number of atoms of the library's materials, which come first."""
         return len(self.names) * len(self.atom_bands)
 
     def usable(self, prior: Array) -> Mask:

@@ -60,7 +60,7 @@ class Channels(NamedTuple):
         """Return readings converted to these channels, and the channels with a matrix to the bands of the completion.
 
         The bands are those of `evidence.bands_of`. The matrix reproduces the spectra of the readings from their
-        channels as closely as its prior allows, the Wiener estimate of these bands.
+        channels as closely as its prior allows; the prior is the Wiener estimate of these bands.
         """
         read_nm, (responses, prior) = readings.wavelengths_nm, self
         if read_nm is None:

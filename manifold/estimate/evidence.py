@@ -247,7 +247,7 @@ def for_library(readings: Readings, bands: Bands) -> Readings:
 
 
 def bands_of(readings: Readings, bands: Bands) -> Bands:
-    """Return the bands of a completion: those of the library, or of the spectra that an RGB library completes."""
+    """Return the bands of a completion: those of the library or, if the library is RGB, those of the readings."""
     return readings.bands if bands.is_rgb else bands
 
 

@@ -176,7 +176,8 @@ def merge(reference: Readings, other: Readings) -> tuple[Readings, ColourCorrect
     """Merge readings of one sample by two instruments in the bands of the first; also return the colour correction.
 
     The reference is a spectrophotometer. The other instrument is a goniometer, whose colours are corrected to those
-    of the reference if it has three bands; in the same bands there is nothing to correct, and the correction is None.
+    of the reference if it has three bands. If both have the same bands, nothing is corrected and the correction is
+    None.
     """
     if reference.bands == other.bands:
         return _joined(reference, other), None

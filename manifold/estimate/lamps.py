@@ -133,7 +133,7 @@ def intensity_notes(path: Path) -> tuple[str, ...]:
 
 
 def require_in_front(lamps: Sequence[Lamp], pictures: Sequence[str], least: float, of: str) -> None:
-    """Raise UsageError for lamps with a z component below `least`; `of` names what they light."""
+    """Raise UsageError for lamps with a z component below `least`; `of` names the lit object in the message."""
     names = [
         f"{name} ({lamp})" for name, lamp in zip(pictures, lamps, strict=True) if lamp.direction[2] < least
     ]

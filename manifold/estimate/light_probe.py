@@ -200,11 +200,11 @@ def given_encoding_notes(
 
 
 def doubt_encoding(photographs: Sequence[Photograph], probe: Probe) -> tuple[Probe, tuple[str, ...]]:
-    """Return a warning if photographs seem to be encoded otherwise than they were read.
+    """Return the probe and, if photographs seem to be read in the wrong encoding, a warning.
 
-    That is so if one lamp explains the photographs well when they are read otherwise, and clearly better than the
-    probe explains them. The uncertainty of the probe's lamps is then increased by the angle between both estimates, and
-    by a share of it if they are explained less clearly.
+    The warning appears if one lamp explains the photographs well in the other encoding, and clearly better than the
+    probe does. The uncertainty of the probe's lamps then includes the angle between both estimates. If the difference
+    is less clear, there is no warning, and the uncertainty includes a share of this angle.
     """
     chosen = evenly_spaced(len(photographs), _OF_ENCODING).tolist()
     otherwise = _read_otherwise([photographs[k] for k in chosen])

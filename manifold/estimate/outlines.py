@@ -85,7 +85,7 @@ def read_photograph(path: Path, is_linear: bool | None = None) -> Photograph:
 
 
 def reduced(values: Array, factor: int) -> Array:
-    """Return the means of squares of `factor` x `factor` pixels; NaN if one of the pixels is NaN."""
+    """Return the means of blocks of `factor` x `factor` pixels; a mean is NaN if one of its pixels is NaN."""
     if factor == 1:
         return values
     H, W = (n // factor * factor for n in values.shape[:2])

@@ -136,7 +136,7 @@ class Sighting:
     def rows(self, sums: Array) -> list[Observation]:
         """Return the observation of every channel, given the pixels `sums` (n, C, K) of the atoms.
 
-        Small blocks weigh more than their number of pixels, because highlights are small.
+        Small blocks weigh more than in proportion to their number of pixels, because highlights are small.
         """
         counts, blocks = np.sqrt(self.blocks.counts), self.blocks
         channels = range(sums.shape[1])

@@ -126,7 +126,7 @@ def suggest(
 
 
 def directions_left(count: int, readings: Readings | None, instrument: str | None) -> tuple[Array, Array]:
-    """Return the directions wi (D, 3) and wo (D, 3) of an instrument, or any directions, that were not yet measured."""
+    """Return directions wi and wo (D, 3) that were not yet measured, of an instrument or of `all_directions`."""
     wi, wo = all_directions() if instrument is None else DIRECTIONS[instrument]()
     total, of = len(wi), f" of {instrument}" if instrument else ""
     if readings is not None:

@@ -49,7 +49,7 @@ class PredictionErrors:
         self.seconds = 0.0
 
     def add(self, values: Values) -> None:
-        """Add a block of measured values; the time for mapping them is included for every method."""
+        """Add a block of measured values; the time of every method includes the mapping of these values."""
         start = time.perf_counter()
         predicted = evaluate(self._combinations, Values(values.f, values.wi, values.wo), clip=False)
         self.seconds += time.perf_counter() - start

@@ -48,8 +48,8 @@ class ChartRow(MethodErrors):
 
     Attributes: those of `MethodErrors`, and
         family: family of methods, as in `Method`.
-        fit: time to learn from the library, including tabulation of its materials, or time of all fits to materials;
-            None if it was not measured.
+        fit: time to learn from the library, including tabulation of its materials; for methods that are fitted to
+            single materials, time of all fits. None if it was not measured.
         predict: time to predict a whole material, at all direction pairs at which it is stored.
         bytes: size of the data that predictions read: files, and the parameters of all materials.
         warnings: warnings of the fits, once per fold.

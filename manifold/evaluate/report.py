@@ -181,7 +181,8 @@ def make_report(
         all_bands: measure errors in all bands, not in about 20 of them.
         principled: also fit Mitsuba's principled to the evaluated materials, for comparison.
         picture: file for a picture of the map; None draws none.
-        workers: executor that fits the models without each material, which it reads from the file; see `work.run`.
+        workers: executor that fits the models without each material; the processes read the model from its file, see
+            `work.run`.
 
     Raises:
         UsageError: the grid is unknown, there are fewer than three materials, or the map has landmarks.

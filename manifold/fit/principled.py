@@ -63,7 +63,7 @@ class FitResult(Result):
         family: the BSDF that was fitted, and its free parameters.
         values: the best values by parameter; a list of three, linear sRGB, for a colour.
         bands: the bands of the samples.
-        spectra: for spectral samples, values per band of the parameters per band, by name.
+        spectra: for spectral samples, the values of parameters that differ between bands, one per band, by name.
         method, metric: names of the method and the metric.
         hyperparameters: hyperparameters of the method, and the assumed noise.
         residuals: relative residuals of the RGB fit, by metric.

@@ -340,7 +340,7 @@ def saturated_bands(wi: Array, wo: Array, values: Array) -> Mask:
 
 
 def too_bright_rows(wi: Array, wo: Array, values: Array) -> Indices:
-    """Return the indices of rows of values (P, B) in 1/sr with too large a mean, if most rows are darker."""
+    """Return the indices of rows of values (P, B) in 1/sr whose mean is too large; empty if half of the rows are."""
     with np.errstate(invalid="ignore"):
         rows = np.flatnonzero(is_diffuse(wi, wo) & (np.pi * np.mean(values, axis=1) > _MOST_BRDF))
     return rows if 2 * len(rows) < len(values) else rows[:0]

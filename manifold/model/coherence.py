@@ -33,8 +33,8 @@ class Pair:
 
     Attributes:
         difference: mean CIEDE2000 between their balls, over the five test lights.
-        detour: differences of the prediction halfway from both materials, added and divided by `difference`; 1 if the
-            prediction lies between them.
+        detour: for the prediction halfway between the materials, the sum of its differences from each of them, divided
+            by `difference`; 1 if the prediction lies exactly in between.
     """
 
     first: int

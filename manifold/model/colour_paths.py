@@ -48,7 +48,7 @@ class ColourPaths:
 
     @cached_property
     def vertices(self) -> list[tuple[Array, Indices, Array]]:
-        """Return the V vertices of every path: their coordinates (V,), black first, and weights (V, c) of c samples.
+        """Return the V vertices of every path, black first: coordinates (V,), and weights (V, c) of c samples.
 
         Each item is `(coordinates, samples, weights)`, where `samples` (c,) are the indices of the samples.
         """

@@ -118,7 +118,7 @@ class LatentSpace(ABC):
         return self.X.shape[1] + 2 * n_bands * self.takes_colours
 
     def around(self, x: Array) -> tuple[Indices, LatentSpace] | None:
-        """Return the indices (n,) of the materials on which predictions at x (Q,) depend, and their space.
+        """Return the indices (n,) of the materials on which predictions at x (Q,) depend, and the space of these alone.
 
         Returns None if predictions may depend on all materials.
         """

@@ -125,7 +125,7 @@ def walk_strip(
 ) -> Figure:
     """Draw balls, RGBA (H, W, 4), from one material (t = 0) to another (t = 1), with one row per method.
 
-    Steps of the first row marked in `doubtful` get a mark, which is explained below.
+    Steps of the first row that `doubtful` selects get a mark, which the figure explains below the strip.
     """
     figure = new_figure(1.25 * len(steps) + 1.1, 1.35 * len(rows) + 0.9)
     figure.suptitle(title, fontsize=12)

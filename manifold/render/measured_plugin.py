@@ -24,7 +24,9 @@ _PROBES = 64  # pairs of directions; rounding of a half turn shows in a third of
 
 
 def load_bsdf(mi: Any, content: Mapping[str, Any] | Any) -> Any:
-    """Load a BSDF of Mitsuba in the current variant; an isotropic `measured` one neither turns nor mirrors directions.
+    """Load a BSDF of Mitsuba in the current variant, without the bug of isotropic `measured` BSDFs.
+
+    Mitsuba's own instances may rotate or mirror directions; the loaded one does not.
 
     Args:
         mi: the module `mitsuba`, with a variant set.

@@ -96,7 +96,8 @@ class DrawnFlakes:
     def share(self) -> float:
         """Share of a flake's pixel that its facet covers.
 
-        The facet reflects a quarter or, for brighter flakes, more.
+        The facet reflects a quarter of the light. If the flake is brighter, the facet covers the whole pixel and
+        reflects more.
         """
         return min(4.0 * self.flakes.reflectance, 1.0)
 

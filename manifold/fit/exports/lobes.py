@@ -222,10 +222,10 @@ def _visible_reflections(node: int) -> tuple[Array, Array]:
 
 
 def visible_reflections(alpha: float, cosines: Array, *, is_correlated: bool = True) -> tuple[Array, Array]:
-    """Return the weights (C, S) of S quadrature nodes in a GGX lobe's albedo without Fresnel, and their facet cosines.
+    """Return weights (C, S) and facet cosines (C, S) of S quadrature nodes, for a GGX lobe's albedo without Fresnel.
 
-    The nodes cover the distribution of visible normals: azimuths on one side, and Gauss-Legendre nodes that are denser
-    towards steep facets. The cosines (C, S) are between the view and the facets.
+    The nodes cover the distribution of visible normals: azimuths on one side of the plane of incidence, and
+    Gauss-Legendre nodes that are denser towards steep facets. A facet cosine is that between the view and the facet.
 
     Args:
         alpha: alpha of the lobe, kept above 0.

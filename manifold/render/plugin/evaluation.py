@@ -51,7 +51,7 @@ class VaryingWeights:
             self._inverse_K, self._column_sums = mi.Float64(inverse.ravel()), mi.Float64(inverse.sum(axis=0))
 
     def at(self, latent: list[Any]) -> LobeSums:
-        """Return the common part of the weights at latents, Q arrays."""
+        """Return the sums that the weights of all materials share at latents, given as Q arrays."""
         dr = self._dr
         x = [self._mi.Float64(v) for v in dr.detach(latent)]
         has_slopes = dr.grad_enabled(latent)

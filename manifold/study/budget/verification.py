@@ -52,7 +52,7 @@ class Pictures:
         return self._compare(self._render(choice, self._seed))
 
     def beside(self, choice: Choice) -> tuple[Array, Array]:
-        """Display pictures (H, W, 3) of the reference, and of a choice with the same seed."""
+        """Return pictures for display (H, W, 3): of the reference, and of a choice with the same seed."""
         return self._reference[0], self._render(choice, self._seed)[0]
 
     def noise(self) -> dict[str, Difference]:

@@ -3,7 +3,7 @@
 `RESULTS` is the list; `run_all.py` runs it. Each `results/NAME.json` has an entry `_made`: command, version, commit,
 hash of the code, hash of the data, date, processor and processor seconds. The code is the benchmark, every module that
 it imports or that a registry names, directly or through others, the files of the package beside these modules, the
-built-in library, `cpp/` and `setup.py`. Docstrings, comments, layout, the wording of sentences and the places of
+built-in library, `cpp/` and `setup.py`. Docstrings, comments, layout, the wording of messages and the places of
 modules do not change the hash. Where it is None, the result is older than this record.
 """
 
@@ -114,10 +114,14 @@ _PLACE = re.compile(r"manifold(\.\w+)+:\w+")
 """A place of an implementation in a registry."""
 
 
+_BESIDE = ("benchmarks", "tools", "tests", "tests/surface")
+"""Folders whose modules benchmarks import by their names."""
+
+
 def _file_of(name: str) -> Path | None:
-    """Return the file of a module of the package or of one beside the benchmarks; None for others."""
+    """Return the file of a module of this repository, without its package; None for others."""
     own = name.replace("manifold.cli", "cli", 1) if name.startswith("manifold.cli") else name
-    for folder in (REPOSITORY, REPOSITORY / "benchmarks", REPOSITORY / "tools"):
+    for folder in (REPOSITORY, *(REPOSITORY / beside for beside in _BESIDE)):
         path = folder.joinpath(*own.split("."))
         for file in (path.with_suffix(".py"), path / "__init__.pyi", path / "__init__.py"):
             if file.is_file():
@@ -200,7 +204,7 @@ RESULTS = {
 
 
 def bare(source: str) -> str:
-    """Return a module's syntax tree as text, without imports, docstrings and the wording of sentences."""
+    """Return a module's syntax tree as text, without the places of imports, docstrings and the wording of messages."""
     return str(_plain(ast.parse(source)))
 
 
@@ -213,7 +217,7 @@ def _plain(node: object, in_message: bool = False) -> object:
     if isinstance(node, ast.Import | ast.ImportFrom):
         return sorted(f"{alias.name.rpartition('.')[2]} {alias.asname}" for alias in node.names)
     in_message = in_message or _is_message(node)
-    if _is_sentence(node, in_message):
+    if in_message and _is_sentence(node):
         return "sentence"
     fields = [(name, value) for name, value in ast.iter_fields(node) if name not in ("ctx", "kind")]
     if not isinstance(node, ast.Constant):  # newer versions of Python have more fields, empty here
@@ -241,19 +245,11 @@ def _is_message(node: ast.AST) -> bool:
     return getattr(called, "attr", getattr(called, "id", None)) in _SPOKEN
 
 
-def _is_sentence(node: ast.AST, in_message: bool) -> bool:
-    """Whether a node is a text whose wording decides no figure: a message, or four words and more that are no code.
-
-    Shorter texts with blanks are names, such as those of lights and errors.
-    """
+def _is_sentence(node: ast.AST) -> bool:
+    """Whether a node of a message is a text with blanks: its wording decides no figure."""
     parts = node.values if isinstance(node, ast.JoinedStr) else [node]
     texts = [part.value for part in parts if isinstance(part, ast.Constant) and isinstance(part.value, str)]
-    text = " ".join(texts)
-    if in_message:
-        return any(" " in each.strip() for each in texts)
-    return sum(bool(re.search(r"[^\W\d]{2}", word)) for word in text.split()) >= 4 and not re.search(
-        r"[;={}]", text
-    )
+    return any(" " in text.strip() for text in texts)
 
 
 DATA = (".bsdf", ".brdf", ".csv", ".h5", ".xlsx", ".zip")

@@ -125,7 +125,7 @@ def measure(name: str, places: Places, folder: Path) -> str | None:
     if kept.exists() and record(name)["data"] != data:
         print("   its data differ from those of the kept result", flush=True)
     stamp(name, target, data, seconds)
-    shutil.move(target, FOLDER / target.name)
+    shutil.move(target, kept)
     print(f"   {seconds / 60.0:.1f} processor minutes", flush=True)
     return None
 

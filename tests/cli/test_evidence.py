@@ -49,6 +49,8 @@ def test_the_code_of_a_result_is_all_that_it_imports():
     names = {str(path.relative_to(REPOSITORY)) for path in evidence.RESULTS["letter"].sources}
     assert {"benchmarks/bench_letter.py", "manifold/gplvm.py", "manifold/dls.py"} <= names
     assert "manifold/gp/likelihood.py" in names  # imported by gplvm
+    of_page = {str(path.relative_to(REPOSITORY)) for path in evidence.RESULTS["page"].sources}
+    assert "tests/helpers/browser.py" in of_page
 
 
 def test_a_change_of_a_loop_of_its_build_or_of_a_file_of_the_package_changes_the_code(tmp_path, monkeypatch):
@@ -160,6 +162,14 @@ def test_the_hash_of_code_sees_names_with_blanks_and_what_is_imported_under_a_na
         ("LIGHTS = ('sun 45', 'white')\n", "LIGHTS = ('sun 60', 'white')\n"),
         ("from manifold.a import DEFAULT as G\n", "from manifold.a import HIKICHI as G\n"),
         ("error = found['ball ITP']\n", "error = found['cube root']\n"),
+        (
+            "COMMAND = 'complete readings.csv --unit brdf'\n",
+            "COMMAND = 'complete readings.csv --unit factor'\n",
+        ),
+        (
+            "HEADING = re.compile('distribution function of a surface')\n",
+            "HEADING = re.compile('of any surface at all')\n",
+        ),
     ):
         assert evidence.bare(source) != evidence.bare(changed)
     moved = "from manifold.b import DEFAULT as G\n"

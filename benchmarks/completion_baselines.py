@@ -65,7 +65,7 @@ CUBE_ROOTS = RidgeMapping(np.cbrt, lambda y: np.maximum(y, 0.0) ** 3, np.geomspa
 def ridge_on_components(
     samples: Sequence[Array], cosines: Sequence[Array], values: Array, mapping: RidgeMapping
 ) -> Array:
-    """Principal components of mapped values, coefficients by ridge regression, band by band.
+    """Predict f by ridge regression on all principal components of mapped values, band by band.
 
     All components take part, so they need not be computed: the centred samples themselves give the same f. The weight
     of the coefficients has the lowest error of left-out readings, over all bands; Nielsen et al. chose it so over MERL.

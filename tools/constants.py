@@ -50,8 +50,8 @@ EXEMPT = (
     "BLOCK", "BLOCK_ROWS", "AT_ONCE", "MOST_KEPT", "VERSION", "BYTES", "DIGEST", "MOST_PIXELS", "MOST_TOGETHER",
     "MOST_SIZE", "MOST_MATERIALS", "MIN_PAIRS", "MAX_PAIRS",
 )  # fmt: skip
-# `LIMIT` finds names of constants that limit a size, or set what is printed or drawn, `WHOLE_LIMIT` names that do so if
-# the constant is a whole number. `FACT` finds comments that name a format, an instrument or a standard.
+# `LIMIT` finds the names of constants that limit a size or control output. `WHOLE_LIMIT` finds names that have this
+# meaning only for whole numbers. `FACT` finds comments that name a format, an instrument or a standard.
 WHOLE_LIMIT = re.compile(r"(^|_)(MOST|LARGEST|LONGEST|WIDEST)(_|$)")
 LIMIT = re.compile(
     r"(^|_)(BLOCKS?|ROWS|BYTES|VERSION|SHOWN|SNIFFED|AT_ONCE|SIZE|WIDTH|HEIGHT|PIXELS|SAMPLES|"

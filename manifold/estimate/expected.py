@@ -178,9 +178,9 @@ def typical(values: Array) -> float:
 def _factor(ratios: Array, of_world: float) -> float:
     """Return the factor of plausible errors: the typical ratio (N,) of true errors to them, or a larger one.
 
-    If a library lacks kinds of materials, its left-out materials contain none of them, and the factor is too small. If
-    the factor `of_world`, measured on neural fits, is larger, it therefore counts as `_WORLD` further materials.
-    Factors are averaged by their logarithms.
+    Materials of a kind that the library lacks are not among its left-out materials, so the ratios alone give a factor
+    that is too small. The factor `of_world` was measured on neural fits. If it is larger, it counts as `_WORLD` further
+    materials. Factors are averaged by their logarithms.
     """
     own = max(typical(ratios), TINY)
     share = _WORLD / (_WORLD + len(ratios))

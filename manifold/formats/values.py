@@ -332,7 +332,7 @@ def bright_bands(wi: Array, wo: Array, values: Array, fewest: int = 2, most: flo
 
 
 def saturated_bands(wi: Array, wo: Array, values: Array) -> Mask:
-    """Return a mask (B,) of bands that are too bright even for factors; it is empty if they are a quarter or more."""
+    """Return a mask (B,) of bands too bright even for factors; it is all False if they are a quarter or more."""
     is_saturated = bright_bands(wi, wo, values / np.pi, most=_PERCENT_FROM)
     if is_saturated.sum() >= max(_MANY_BANDS * len(is_saturated), 1.0):
         is_saturated[:] = False
@@ -340,7 +340,7 @@ def saturated_bands(wi: Array, wo: Array, values: Array) -> Mask:
 
 
 def too_bright_rows(wi: Array, wo: Array, values: Array) -> Indices:
-    """Return the indices of rows of values (P, B) in 1/sr whose mean is too large; empty if half of the rows are."""
+    """Return the indices of rows of values (P, B) in 1/sr whose mean is too large; none if half or more have one."""
     with np.errstate(invalid="ignore"):
         rows = np.flatnonzero(is_diffuse(wi, wo) & (np.pi * np.mean(values, axis=1) > _MOST_BRDF))
     return rows if 2 * len(rows) < len(values) else rows[:0]

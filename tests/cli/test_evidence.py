@@ -221,7 +221,7 @@ def test_refused_pictures_count_as_if_their_lamps_were_given():
 
 
 def test_a_design_has_the_lowest_condition_number_of_all(rng):
-    """Of few candidates, all designs are tried; components are those of a singular value decomposition."""
+    """The test tries all designs of a few candidates. A singular value decomposition computes the components."""
     n, on_grid, candidates, count = 8, 60, 11, 4
     cosines, theta = rng.uniform(0.1, 1.0, on_grid), rng.uniform(0.1, 1.5, (2, candidates))
     roots, at = rng.uniform(0.05, 0.4, (n, on_grid)), rng.uniform(0.05, 0.4, (n, candidates))
